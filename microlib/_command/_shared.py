@@ -17,10 +17,10 @@ Files = Iterator[tuple[str, Writer]]
 #: Prefixes of a unit, relative to the micro-units of the library.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
 
-#: Unit of each scale, and what it is.
+#: Unit and description of each scale.
 _SCALES = {
-    "spacing": ("µm", "between frames, if the file does not say"),
-    "pixel_size": ("µm/px", "in the object plane, if the file does not say"),
+    "spacing": ("µm", "between frames; by default from the file"),
+    "pixel_size": ("µm/px", "in the object plane; by default from the file"),
     "pitch": ("µm", "between the middles of neighboring marks, or side of a field"),
     "cell": ("µm", "size of a cell of the camera's sensor"),
     "focal_length": ("µm", "of the objective, from its maker; else it is estimated"),

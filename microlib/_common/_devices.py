@@ -1,7 +1,7 @@
-"""What a microscope must offer to be steered, and calls to it that leave no stage moving.
+"""The interface of a controlled microscope, and calls to it that always stop the stage at the end.
 
-The simulated workstation and the adapter for Micro-Manager have what is called here. Another
-microscope needs four small classes with these methods, and no base class:
+The simulated workstation and the adapter for Micro-Manager have these attributes. Another
+microscope needs three small classes with these methods, and no base class:
 
 =================  ===============================================================================
 ``camera``         ``snap()`` returns a grey frame and the middle of its exposure, s of the clock
@@ -22,15 +22,15 @@ from dataclasses import dataclass
 from threading import Event, Thread, current_thread, main_thread
 from typing import Any
 
-#: Time between two questions (whether a device answered, still moves, or the user wants an end), s:
-#: of the order of what a serial line needs for an answer, and short beside a person's reaction.
+#: Time between two polls (for an answer, the end of a move or an interrupt), s: about the latency
+#: of a serial line, and short compared with a person's reaction.
 POLL = 0.02
 
-#: Time after Ctrl-C in which another one counts as the same, s: keys are pressed twice within it.
+#: Time after Ctrl-C in which another one is ignored, s: the key may be pressed twice.
 DEBOUNCE = 0.3
 
 
-#: What a run calls.
+#: Methods that a run calls.
 CALLS = (
     *("camera.snap", "stage.position", "stage.move_to", "stage.moving", "stage.stop"),
     *("clock.now", "clock.sleep"),
@@ -38,7 +38,7 @@ CALLS = (
 
 
 def check_devices(workstation: object) -> None:
-    """Raise for a workstation whose parts have not the methods that a run calls."""
+    """Raise if a part of the workstation lacks a method that a run calls."""
     for call in CALLS:
         part, method = call.split(".")
         if not callable(getattr(getattr(workstation, part, None), method, None)):
@@ -55,7 +55,7 @@ class DeviceError(EndRun):
 
 
 class RunInterrupt(KeyboardInterrupt):
-    """Ctrl-C, after the device was stopped; `run` is the result of what was done until then."""
+    """Ctrl-C, raised when the stage was stopped; `run` is the result until then."""
 
     def __init__(self, run: Any) -> None:
         super().__init__(run.reason)
@@ -69,7 +69,7 @@ class Ending:
     Attributes
     ----------
     reason : str
-        What the work returned, or why it ended early.
+        The return value of the work, or why it ended early.
     complete : bool
         Whether the work returned and the device stands still.
     still : bool
@@ -85,10 +85,10 @@ class Ending:
 
 
 class Guard:
-    """Makes each call in a thread of its own, so that a device that hangs cannot hold the loop.
+    """Calls devices in separate threads, so that a device that hangs cannot block the loop.
 
-    A thread cannot be ended from outside. One whose call was given up stops the stage as soon as
-    the call returns, since that may have been the start of a move.
+    A thread cannot be ended from outside. After a timeout its thread stops the stage as soon as the
+    call returns, because the call may have started a move.
 
     Parameters
     ----------
@@ -104,10 +104,10 @@ class Guard:
         self._ending = False
 
     def run(self, work: Callable[[], str]) -> Ending:
-        """Do the work, stop the device however the work ended, and return what happened.
+        """Do the work, stop the stage in any case, and return how the work ended.
 
-        A fault of the device or of anything that the work calls is a reason and not an exception.
-        Ctrl-C, under `interrupts`, sets `interrupted`, which the next call sees.
+        An exception of the device or of the work becomes the reason of the end. Ctrl-C, under
+        `interrupts`, sets `interrupted`, which is checked at the next call.
         """
         reason, complete, error = "", False, None
         try:
@@ -126,12 +126,12 @@ class Guard:
         return Ending(reason, complete, not trouble, error)
 
     def check(self) -> None:
-        """End the run if the user wants that."""
+        """End the run after an interrupt."""
         if self.interrupted.is_set() and not self._ending:
             raise EndRun("interrupted by the user")
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a device answers."""
+        """Return the value of a call to a device."""
         name = getattr(function, "__name__", type(function).__name__)
         answer: list[tuple[Any, BaseException | None]] = []
         done, given_up = Event(), Event()
@@ -139,11 +139,11 @@ class Guard:
         def work() -> None:
             try:
                 answer.append((function(*arguments), None))
-            except BaseException as error:  # whatever a driver raises ends the run
+            except BaseException as error:  # any exception of a driver ends the run
                 answer.append((None, error))
             done.set()
             if given_up.is_set():
-                with suppress(Exception):  # nobody waits for the error
+                with suppress(Exception):  # the error has no receiver
                     self._stage.stop()
 
         self.check()
@@ -163,27 +163,27 @@ class Guard:
         return value
 
     def pause(self, seconds: float) -> None:
-        """Let time pass, in pieces that an interrupt can come between."""
+        """Wait in short steps, so that an interrupt is noticed."""
         end = self._clock.now() + seconds
         while (left := end - self._clock.now()) > 0:
             self.check()
             self._clock.sleep(min(left, POLL))
 
     def settle(self, watch: Callable[[], object] = lambda: None) -> None:
-        """Wait until the stage stands, and call `watch` again and again until it does."""
+        """Wait until the stage stands, and call `watch` repeatedly meanwhile."""
         end, real_end = self._clock.now() + self._timeout, time.monotonic() + self._timeout
         while self.call(self._stage.moving):
             if self._clock.now() > end or time.monotonic() > real_end:
                 raise DeviceError(f"the stage still moves after {self._timeout:g} s")
             watch()
-            # A tenth: moves of some milliseconds are common, and polling is all that this costs.
+            # Moves of some milliseconds are common.
             self.pause(POLL / 10)
 
     def _halt(self) -> str:
-        """Stop the stage whatever happens; return why it may not stand still, or nothing."""
+        """Stop the stage; return why it may still move, or an empty text."""
         self._ending = True
         trouble = ""
-        for _ in range(3):  # a driver may be busy with the call before
+        for _ in range(3):  # a driver can be busy with the previous call
             try:
                 self.call(self._stage.stop)
                 self.settle()
@@ -195,10 +195,10 @@ class Guard:
 
 @contextmanager
 def interrupts(flag: Event) -> Iterator[None]:
-    """Let Ctrl-C set the flag and nothing else; only the main thread can be interrupted.
+    """Let Ctrl-C only set the flag; only the main thread can be interrupted.
 
-    The caller builds its result and raises `RunInterrupt` inside, so that a second Ctrl-C cannot
-    take its place.
+    The caller builds its result and raises `RunInterrupt` in this context, where a second Ctrl-C
+    has no effect.
     """
     if current_thread() is not main_thread():
         yield

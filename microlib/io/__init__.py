@@ -1,6 +1,6 @@
 """Read the frames of a stack; write maps and meshes atomically."""
 
-import microlib._common._opencv  # noqa: F401 – says how to install it
+import microlib._common._opencv  # noqa: F401 – its error names the package
 from microlib.io._files import read_grey, write_height_tiff, write_ply
 from microlib.io._frames import read_frames
 from microlib.io._pictures import image_files as image_files  # not public: for the commands

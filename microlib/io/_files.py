@@ -28,7 +28,7 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Parameters
     ----------
     path : path-like
-        PNG, TIFF of one page, JPEG or any other format that OpenCV knows; colors become grey.
+        PNG, TIFF of one page, JPEG or any other format that OpenCV reads; colors become grey.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def write_height_tiff(
     pixel_size: float,
     what: str = "height in um",
 ) -> None:
-    """Write a height map, or another map of its pixels, as a TIFF that others open to scale.
+    """Write a height map, or another map, as a TIFF with its pixel size.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def write_height_tiff(
     pixel_size : float
         Size of a pixel, in µm/px.
     what : str
-        What the values are, for whoever opens the file.
+        Description of the values in the file.
 
     Raises
     ------

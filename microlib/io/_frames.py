@@ -30,22 +30,26 @@ def read_frames(
     Parameters
     ----------
     frames : array_like, path, or iterable
-        An array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or anything with a
-        `shape` like that whose frames are loaded as it is indexed, such as a zarr array; an
-        xarray.DataArray, whose dimensions may be in any order if two are named x and y, and whose
-        coordinates are positions and pixel size, in µm or in the unit that ``attrs["units"]``
-        names (0, 1, 2, … without a unit only number the pixels); a folder or a pattern
-        (``"scan/*.jpg"``) of images, in the order of the numbers in their names; a multi-page TIFF
-        or OME-TIFF; OME-Zarr 0.4 or 0.5; a NumPy file; a GIF or a video; or an iterable, such as a
-        list or a generator, of images or of paths to image files; or what this function returned.
-        A photograph is turned as its camera says, unless that changes within a stack. ``~`` is the
-        home folder.
+        One of these:
+
+        - an array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or an object with such
+          a `shape` that loads frames when it is indexed, such as a zarr array;
+        - an xarray.DataArray, whose dimensions may be in any order if two are named x and y, and
+          whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
+          (coordinates 0, 1, 2, … without a unit are numbers of pixels);
+        - a folder or a pattern (``"scan/*.jpg"``) of images, in the order of the numbers in their
+          names; EXIF orientation is applied unless it changes within the stack;
+        - a multi-page TIFF or OME-TIFF, OME-Zarr 0.4 or 0.5, a NumPy file, a GIF or a video;
+        - an iterable, such as a list or a generator, of images or of paths to image files;
+        - a reader that this function returned.
+
+        ``~`` is the home folder.
     color : bool
-        Whether color is wanted. If not, it becomes luminance, 0.299 R + 0.587 G + 0.114 B.
+        Whether to keep colors. If not, they become luminance, 0.299 R + 0.587 G + 0.114 B.
     region : tuple of four ints, optional
-        Part of the frames, (x, y, width, height) in px; of what a reader gives, if it is one.
+        Part of the frames, (x, y, width, height) in px.
     reduce : int
-        Side of the square blocks of pixels that become one, their mean.
+        Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
         Number, from zero, of the channel, the time and the series of images to read, of a TIFF,
         OME-Zarr or xarray.DataArray with more axes than one besides rows and columns.

@@ -1,4 +1,4 @@
-"""Scenes with known truth: what the algorithms are tested on. Nothing here imports an algorithm."""
+"""Rendered scenes with ground truth, independent of the algorithms that are tested on them."""
 
 import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.synthetic._embryo import Embryo, embryo_image

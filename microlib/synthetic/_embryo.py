@@ -1,4 +1,4 @@
-"""A zebrafish embryo under an AFM probe, rendered as the workstation's Sony camera sees it.
+"""Images of a zebrafish embryo under an AFM probe, as taken by the workstation's Sony camera.
 
 The outline is that of the biomembrane point-load model, so the modulus behind every image is known.
 Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px.
@@ -32,8 +32,8 @@ from microlib.synthetic._textures import eight_bits
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What an embryo looks like, a choice of the scene.
+class _Appearance:
+    """Grey levels and proportions of the scene, which are arbitrary.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class _Look:
         Half of the widths of the force sensor and the yolk, and the least gap between yolk and
         chorion, in radii of the embryo.
     yolk_fade : float
-        Over how many px the yolk's edge fades.
+        Width over which the edge of the yolk fades, px.
     grain, grain_blur : float
         Of the yolk: its standard deviation (grey levels) and its blur (px of the finer grid).
     """
@@ -62,19 +62,18 @@ class _Look:
     grain_blur: float = 6.0
 
 
-_LOOK = _Look()
+_APPEARANCE = _Appearance()
 
-#: Of the superellipse below the equator; 2 is an ellipse, more is flatter below.
+#: Exponent of the superellipse below the equator; 2 is an ellipse, a larger one is flatter below.
 _POWER = 2.5
 
-#: The scene is drawn on a grid finer than the sensor's, with edges of a Gaussian width (px of the
-#: sensor) that is blurred to the wanted one afterwards: narrow enough for every outline to be
-#: straight across it, wide enough for the finer grid, whose cells are 1.1 of these widths, to carry
-#: it.
+#: The scene is drawn on a grid finer than the sensor's, with edges blurred by this standard
+#: deviation (px of the sensor), and blurred further afterwards. Outlines are nearly straight over
+#: this width, and the cells of the finer grid, 1.1 of these widths, sample it well enough.
 _SUPERSAMPLING = 2
 _DRAWN_BLUR = 0.45
-#: Distance from the outline, in px, beyond which nothing is drawn by it: 17 drawn widths, or 16
-#: beside a wall one px thick.
+#: Largest distance from the outline at which it changes a pixel, px: 17 standard deviations of the
+#: drawn blur, or 16 beside a wall one px thick.
 _REACH = 8.0
 
 
@@ -97,7 +96,7 @@ class Embryo(Result):
     poisson_ratio : float
         Poisson ratio ν of the chorion.
     radius : float
-        Radius of the untouched sphere, in µm, which the equator keeps.
+        Radius of the untouched sphere and of the equator, in µm.
 
     Raises
     ------
@@ -109,7 +108,7 @@ class Embryo(Result):
     The outline, the middle of the chorion, is the meridian of a body of revolution in three parts
     that share their tangents: the dimple (4.2) from the probe to the rim; a quarter ellipse from
     the rim to the equator, with the dimple's curvature at the rim; below the equator a superellipse
-    of the power 2.5, flattened where the sensor holds it and as deep as it takes to keep the volume
+    of the exponent 2.5, flattened where the sensor holds it, whose depth keeps the volume constant
     (the second assumption of the model). Under the probe the membrane is flat.
 
     Examples
@@ -307,7 +306,7 @@ class Embryo(Result):
         return np.stack([np.interp(even, length, column) for column in closed.T], axis=1)
 
     def _half_axes(self) -> tuple[float, float, float]:
-        """Width and height of the outline from rim to equator, height below it, in µm."""
+        """Return width and height of the outline from rim to equator, and the height below, µm."""
         a, c, depth = self.dimple_radius, self.probe_half_width, self.dimple_depth
         across = self.radius - a
         upper = across**2 / _rim_radius(a, depth, c)
@@ -323,7 +322,7 @@ class Embryo(Result):
 
 
 def _depth(embryo: Embryo, force: float, radius: float) -> float:
-    """Depth from (4.7). The scene obeys the model also where the model's small slopes end."""
+    """Return the depth by (4.7), also where its assumption of small slopes does not hold."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
         return float(
@@ -339,21 +338,21 @@ def _depth(embryo: Embryo, force: float, radius: float) -> float:
 
 
 def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
-    """Radius of curvature of (4.2) at r = a."""
+    """Return the radius of curvature of (4.2) at r = a."""
     zeta2 = (probe_half_width / radius) ** 2
     return radius**2 * (zeta2 - 1 - np.log(zeta2)) / (4 * depth)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EmbryoImage(Result):
-    """A rendered embryo and the truth behind it.
+    """A rendered embryo with its ground truth.
 
     Attributes
     ----------
     image : ndarray of uint8, shape (rows, columns)
         Grey levels.
     embryo : Embryo
-        What is seen: modulus, force and dimple.
+        The embryo in the image, with modulus, force and dimple.
     pixel_size : float
         Pixel in the object, in µm.
     center : tuple of float
@@ -395,9 +394,9 @@ def embryo_image(
     Parameters
     ----------
     embryo : Embryo
-        What is seen.
+        The embryo in the image.
     rng : numpy.random.Generator or int
-        Source of the light's shape, the yolk's texture and the noise, or its seed.
+        Random generator of illumination, texture and noise, or its seed.
     pixel_size : float
         Pixel in the object, in µm; by default that of the Sony XCD-X710CR (4.65 µm cells) behind
         the magnification 1.2.
@@ -420,8 +419,8 @@ def embryo_image(
     Returns
     -------
     EmbryoImage
-        The `image` and its truth: `embryo`, `pixel_size`, `center`, `tilt`, and `to_pixels`, which
-        places points of the embryo in the image.
+        The `image` and its ground truth: `embryo`, `pixel_size`, `center` and `tilt`. `to_pixels`
+        converts points of the embryo to the image.
 
     Raises
     ------
@@ -432,8 +431,8 @@ def embryo_image(
     -----
     The chorion is a dark line of its own thickness around a slightly darker fluid, as in
     transmitted light; each edge is drawn at its exact place and blurred by the point spread
-    function and the sensor's square cells. What is drawn is the meridian: in a microscope the near
-    part of the rim lies, out of focus, in front of the dimple, which this picture leaves out.
+    function and the sensor's square pixels. Only the meridian is drawn. In a microscope, the near
+    part of the rim is out of focus in front of the dimple.
 
     Examples
     --------
@@ -448,13 +447,13 @@ def embryo_image(
     pixel_size = scalar("pixel_size", pixel_size, above=0)
     rows, columns = image_shape("shape", shape, least=64)
     tilt = scalar("tilt", tilt, least=-np.pi, most=np.pi)
-    blur = scalar("blur", blur, least=0.5)  # just above the drawn
+    blur = scalar("blur", blur, least=0.5)  # above the blur of the drawing
     noise = scalar("noise", noise, least=0)
     unevenness = scalar("unevenness", unevenness, least=0, most=0.5)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     x, y = as_array("center", center, shape=(2,)).tolist()
-    if not embryo.radius / pixel_size > 4:  # a lesser one is a speck
+    if not embryo.radius / pixel_size > 4:
         raise ValueError(
             f"pixel_size must show the embryo's radius of {embryo.radius:g} µm by at least 4 px, "
             f"got {pixel_size:g} µm"
@@ -471,27 +470,29 @@ def embryo_image(
 
 
 def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[np.float32]:
-    """Grey levels of the scene under even light, on the finer grid."""
+    """Return the grey levels of the scene under even light, on the finer grid."""
     embryo, pixel = frame.embryo, frame.pixel_size
     inside = _signed_distance(frame, embryo.outline(embryo.radius / 2400))
     body = ndtr(inside / _DRAWN_BLUR)
-    scene = _LOOK.ground + (_LOOK.fluid - _LOOK.ground) * body
+    scene = _APPEARANCE.ground + (_APPEARANCE.fluid - _APPEARANCE.ground) * body
 
     x, y = _embryo_coordinates(frame)
-    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (_LOOK.yolk_fade * pixel))
+    yolk = body * ndtr(_yolk_depth(embryo, x, y) / (_APPEARANCE.yolk_fade * pixel))
     white = rng.standard_normal(x.shape, dtype=np.float32)
-    texture = cv2.GaussianBlur(white, (0, 0), _LOOK.grain_blur)
-    scene += yolk * (_LOOK.yolk - _LOOK.fluid + _LOOK.grain * texture / np.std(texture))
+    texture = cv2.GaussianBlur(white, (0, 0), _APPEARANCE.grain_blur)
+    scene += yolk * (
+        _APPEARANCE.yolk - _APPEARANCE.fluid + _APPEARANCE.grain * texture / np.std(texture)
+    )
 
     half = embryo.thickness / pixel / 2
     line = ndtr((inside + half) / _DRAWN_BLUR) - ndtr((inside - half) / _DRAWN_BLUR)
-    scene += line * (_LOOK.chorion - scene)
+    scene += line * (_APPEARANCE.chorion - scene)
     if probe:
         tip = -embryo.dimple_depth + embryo.thickness / 2
         seat = -embryo.height - embryo.thickness / 2
         for grey, half_width, depth in (
-            (_LOOK.probe, embryo.probe_half_width, y - tip),
-            (_LOOK.sensor, _LOOK.sensor_half_width * embryo.radius, seat - y),
+            (_APPEARANCE.probe, embryo.probe_half_width, y - tip),
+            (_APPEARANCE.sensor, _APPEARANCE.sensor_half_width * embryo.radius, seat - y),
         ):
             bar = ndtr((half_width - np.abs(x)) / pixel / _DRAWN_BLUR)
             bar *= ndtr(depth / pixel / _DRAWN_BLUR)
@@ -500,7 +501,7 @@ def _draw(frame: EmbryoImage, rng: np.random.Generator, probe: bool) -> NDArray[
 
 
 def _embryo_coordinates(frame: EmbryoImage) -> tuple[Array, Array]:
-    """(x, y) in µm of every point of the finer grid, in the embryo's frame."""
+    """Return (x, y) of every point of the finer grid in the embryo's frame, µm."""
     rows, columns = frame.image.shape
     # Centers of the fine cells: pixel k of the sensor covers k − ½ to k + ½.
     u = (np.arange(columns * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - frame.center[0]
@@ -512,9 +513,9 @@ def _embryo_coordinates(frame: EmbryoImage) -> tuple[Array, Array]:
 
 
 def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
-    """Distance of the finer grid's points to the outline, in px of the sensor, positive inside.
+    """Return the distance of the finer grid's points to the outline, px, positive inside.
 
-    It is exact within a few pixels of the outline and cut off beyond, where nothing depends on it.
+    It is exact within a few pixels of the outline and clipped beyond, where it has no effect.
     """
     fine = (frame.to_pixels(outline) + 0.5) * _SUPERSAMPLING - 0.5
     rows, columns = (n * _SUPERSAMPLING for n in frame.image.shape)
@@ -539,17 +540,17 @@ def _signed_distance(frame: EmbryoImage, outline: Array) -> Array:
 
 
 def _yolk_depth(embryo: Embryo, x: Array, y: Array) -> Array:
-    """How deep a point lies in the yolk, an ellipse that keeps clear of the chorion, in µm."""
-    top = -embryo.dimple_depth - _LOOK.yolk_gap * embryo.radius
-    bottom = -embryo.height + _LOOK.yolk_gap * embryo.radius
-    half_width = _LOOK.yolk_half_width * embryo.radius
+    """Return the depth of points inside the yolk, an ellipse inside the chorion, in µm."""
+    top = -embryo.dimple_depth - _APPEARANCE.yolk_gap * embryo.radius
+    bottom = -embryo.height + _APPEARANCE.yolk_gap * embryo.radius
+    half_width = _APPEARANCE.yolk_half_width * embryo.radius
     half_height = min((top - bottom) / 2, half_width)
     level = np.hypot(x / half_width, (y - (top + bottom) / 2) / half_height)
     return (1.0 - level) * min(half_width, half_height)
 
 
 def _light(shape: tuple[int, int], unevenness: float, rng: np.random.Generator) -> Array:
-    """Smooth field around 1: a slope and a vignette of random strength and direction."""
+    """Return the relative illumination: a gradient and a vignette of random strength."""
     v, u = (np.linspace(-1.0, 1.0, n) for n in shape)
     slope_x, slope_y = rng.uniform(-1.0, 1.0, 2)
     fall = rng.uniform(0.0, 1.0)

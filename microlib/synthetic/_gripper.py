@@ -1,4 +1,4 @@
-"""Frames with a known motion: a microgripper over a blurred ground."""
+"""Frames of a microgripper over a blurred background, with known motion."""
 
 from __future__ import annotations
 
@@ -11,40 +11,39 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Result, as_array, generator, image_shape, scalar, whole
 from microlib.synthetic._textures import eight_bits, mixed_texture
 
-#: Samples of the gripper's drawing per pixel, which are interpolated linearly: half or twice as
-#: many move the drawn gripper by less than 0.001 px.
+#: Samples of the drawing per pixel, which are interpolated linearly. Half or twice as many move the
+#: gripper by less than 0.001 px.
 _DENSITY = 4
 
 #: Outline of one jaw in units of the gap, from the arm at the left, beyond the frame, to the tip.
 _JAW = np.array([[-60, 0.9], [-2.4, 0.9], [-1.2, 0.5], [0.9, 0.5], [0.9, 1.3], [-60, 2.6]])
 
-#: Where the etched holes are, in units of the gap: along the middle line of the arm, which runs
-#: from the tip to the far end of the outline. Like the outline they are invented: a scene needs
-#: edges along which it looks alike, and marks across them.
+#: Positions of the etched holes in units of the gap, along the center line of the arm. Outline and
+#: holes are invented: the scene needs straight edges and marks along them.
 _HOLES = [(x, 1.1 + 0.65 * (0.9 - x) / 60.9) for x in np.arange(-12.0, -2.7, 0.8)]
 
-#: Mean and standard deviation (grey levels) and scale (px) of the grain of the jaws, and of the
-#: ground behind them; invented, too: the ground is darker and smooth as what is out of focus.
+#: Mean and standard deviation (grey levels) and scale (px) of the texture of the jaws and of the
+#: background, which is invented, darker and out of focus.
 _GRAIN = {"mean": 165.0, "std": 18.0, "scales": 1.5}
 _GROUND = {"mean": 70, "std": 4, "scales": 12}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GripperScene(Result):
-    """A microgripper over a smooth ground, drawn at any sub-pixel position.
+    """A microgripper over a smooth background, drawn at any sub-pixel position.
 
     Attributes
     ----------
     shape : tuple of int
         Rows and columns of a frame.
     home : ndarray, shape (2,)
-        (x, y) of the middle of the opening at zero shift, px.
+        (x, y) of the center of the opening at zero shift, px.
     opening : float
         Gap between the jaws in px.
     drawing, cover : ndarray
-        Grey values of the gripper and its opacity, `_DENSITY` samples a pixel.
+        Grey levels of the gripper and its opacity, `_DENSITY` samples per pixel.
     ground : ndarray, shape (H, W)
-        Grey values behind it.
+        Grey levels of the background.
     """
 
     shape: tuple[int, int]
@@ -94,12 +93,12 @@ def gripper_scene(
     shape: tuple[int, int] = (240, 320),
     reach: int = 80,
 ) -> GripperScene:
-    """Draw a microgripper with two grained jaws and etched holes.
+    """Draw a microgripper with two textured jaws and etched holes.
 
     Parameters
     ----------
     rng : numpy.random.Generator or int
-        Source of the grain and of the ground, or its seed.
+        Random generator of texture and background, or its seed.
     pixel_size : float
         Effective pixel size in the object plane, µm.
     gap : float, optional
@@ -107,12 +106,12 @@ def gripper_scene(
     shape : tuple of int, optional
         Rows and columns of a frame.
     reach : int, optional
-        How far the gripper may move from home along either axis, px.
+        Largest shift of the gripper along either axis, px.
 
     Returns
     -------
     GripperScene
-        Its `frame` draws the gripper at any shift.
+        The scene, whose `frame` draws the gripper at any shift.
 
     Raises
     ------
@@ -153,7 +152,7 @@ def gripper_scene(
             cv2.circle(cover, fixed, radius, 0.35, -1, cv2.LINE_8, 4)
     grain = mixed_texture((height // _DENSITY, width // _DENSITY), rng, **_GRAIN)
     fine = cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
-    # The camera's point spread: no edge is sharper than a pixel.
+    # The camera's point spread function: no edge is sharper than a pixel.
     soft = cv2.GaussianBlur(cover, (0, 0), 0.8 * _DENSITY).astype(np.float32)
     return GripperScene(
         shape=(rows, columns),

@@ -1,7 +1,6 @@
-"""Render calibration targets through a :class:`~microlib.microscope.Microscope`, edges exact by
-area.
+"""Render calibration targets through a :class:`~microlib.microscope.Microscope`.
 
-Each pixel is cut into cells, each cell is projected back to the pattern plane, and the part of it
+Each pixel is cut into cells, each cell is projected back to the pattern plane, and the area of it
 that the pattern covers is computed, not sampled. Blur by the point-spread function, uneven light
 and noise follow.
 """
@@ -29,7 +28,7 @@ from microlib.synthetic._textures import noise_source
 #: Cells along a side of a pixel; the edges inside a cell are straight to within its curvature, an
 #: error of 1/(24·9 r²) of a circle's area, 2e-5 for a radius of 16 px.
 _CELLS = 3
-#: Keeps directions and lengths of zero, µm, from 0/0.
+#: Prevents 0/0 for directions and lengths of zero, µm.
 _TINY = 1e-12
 
 Counts = tuple[int, int] | None
@@ -38,16 +37,16 @@ Coverage = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class ImagingConditions:
-    """What the light, the optics' blur and the camera make of a pattern.
+    """Illumination, blur and noise of a rendered pattern.
 
     Parameters
     ----------
     blur : float
         Standard deviation of the Gaussian point-spread function, px.
     dark, bright : float
-        Grey levels of the pattern and of its ground in full light, 0 to 255.
+        Grey levels of the pattern and of its background in full light, 0 to 255.
     vignetting : float
-        Part of the light lost in the corners of the image, growing with the square of the radius.
+        Relative loss of light in the corners of the image, proportional to the squared radius.
     gradient : (float, float)
         Relative change of the light from the left edge to the right and from the top to the bottom.
     noise : float
@@ -81,21 +80,20 @@ def render_circles(
     imaging: ImagingConditions | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> NDArray[np.float32]:
-    """Image of a grid of dark circles; the center of circle (i, j) is the world point (i, j)·pitch.
+    """Render a grid of dark circles; the center of circle (i, j) is the world point (i, j)·pitch.
 
     Parameters
     ----------
     microscope : Microscope
-        The camera; tilt and distortion are its own.
+        The camera with its tilt and distortion.
     radius, pitch : float
         Radius of the circles and distance of their centers, µm. Circles must not touch.
     counts : (int, int), optional
-        Number of circles along x and y, from the world origin on; without it the plane is full of
-        them.
+        Number of circles along x and y, from the world origin on; without it they fill the plane.
     imaging : ImagingConditions, optional
         Blur, light and noise.
     rng : numpy.random.Generator or int, optional
-        Source of the noise, or its seed; needed if there is any.
+        Random generator of the noise, or its seed; required if there is noise.
 
     Returns
     -------
@@ -105,7 +103,7 @@ def render_circles(
     Raises
     ------
     ValueError
-        If the circles touch or a parameter is out of range, or if noise is asked for without `rng`.
+        If the circles touch or a parameter is out of range, or if there is noise but no `rng`.
 
     Examples
     --------
@@ -142,8 +140,7 @@ def render_squares(
     imaging: ImagingConditions | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> NDArray[np.float32]:
-    """Image of a grid of dark squares, one side apart; their corners are the world points (i,
-    j)·side.
+    """Render a grid of dark squares whose corners are the world points (i, j)·side.
 
     Square (m, n) has its corners at (2m, 2n), (2m+1, 2n), (2m+1, 2n+1) and (2m, 2n+1) times `side`,
     so the corners of all squares form one regular grid.
@@ -151,16 +148,15 @@ def render_squares(
     Parameters
     ----------
     microscope : Microscope
-        The camera; tilt and distortion are its own.
+        The camera with its tilt and distortion.
     side : float
         Side of the squares and width of the gaps, µm.
     counts : (int, int), optional
-        Number of squares along x and y, from the world origin on; without it the plane is full of
-        them.
+        Number of squares along x and y, from the world origin on; without it they fill the plane.
     imaging : ImagingConditions, optional
         Blur, light and noise.
     rng : numpy.random.Generator or int, optional
-        Source of the noise, or its seed; needed if there is any.
+        Random generator of the noise, or its seed; required if there is noise.
 
     Returns
     -------
@@ -170,7 +166,7 @@ def render_squares(
     Raises
     ------
     ValueError
-        If a parameter is out of range, or if noise is asked for without `rng`.
+        If a parameter is out of range, or if there is noise but no `rng`.
 
     Examples
     --------
@@ -189,14 +185,14 @@ def render_squares(
         return plane - half - 2 * side * _nearest((plane - half) / (2 * side), counts)
 
     def sides(o: Array, jacobian: Array) -> Array:
-        # A cell in the very middle is as far from either side.
+        # The center cell is as far from either side.
         normals = np.where(o < 0, -1.0, 1.0)[:, :, None] * np.eye(2)
         inside = half - np.abs(o)
         return np.stack([_half_plane(inside[:, k], normals[:, k], jacobian) for k in (0, 1)])
 
     def covered(plane: Array, jacobian: Array) -> Array:
-        # The product of two half-planes is exact but for a cell that holds a corner and is turned
-        # against it: such a cell is cut again.
+        # The product of two half-planes is exact except for a cell that contains a corner and is
+        # rotated against it: such a cell is cut again.
         o = offset(plane)
         both = sides(o, jacobian)
         area = both.prod(axis=0)
@@ -217,7 +213,7 @@ def render_squares(
 
 
 def _nearest(lattice: Array, counts: Counts) -> Array:
-    """Index of the nearest lattice point that exists."""
+    """Return the index of the nearest point of the finite lattice."""
     index = np.round(lattice)
     if counts is None:
         return index
@@ -226,7 +222,7 @@ def _nearest(lattice: Array, counts: Counts) -> Array:
 
 
 def _half_plane(inside: Array, normal: Array, jacobian: Array) -> Array:
-    """Part of each unit cell on the inner side of a straight edge.
+    """Return the area of each unit cell on the inner side of a straight edge.
 
     `inside` is the distance of the cell's center from the edge (µm, positive inside) and `normal`
     the edge's unit normal, both on the pattern plane; `jacobian` maps steps of a cell to µm. The
@@ -253,8 +249,7 @@ def _render(
     imaging: ImagingConditions | None,
     rng: np.random.Generator | int | None,
 ) -> NDArray[np.float32]:
-    """Cover, blur, bin, light up and add noise; `depth` is the signed distance to the outline,
-    µm."""
+    """Render the pattern; `depth` returns the signed distance to its outline, µm."""
     of_kind("microscope", microscope, Microscope)
     imaging = ImagingConditions() if imaging is None else imaging
     of_kind("imaging", imaging, ImagingConditions)

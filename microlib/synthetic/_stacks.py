@@ -31,13 +31,13 @@ def focal_stack(
     positions : array_like, shape (n,)
         Height in focus in each frame, µm.
     blur_rate : float
-        Standard deviation of the blur for each µm out of focus, px/µm.
+        Increase of the blur's standard deviation with the distance from focus, px/µm.
     sharpest : float
         Standard deviation of the blur in focus, px.
     noise : float
         Standard deviation of the camera's noise, grey levels.
     rng : numpy.random.Generator or int, optional
-        Source of the noise, or its seed; needed if there is any.
+        Random generator of the noise, or its seed; required if there is noise.
 
     Returns
     -------
@@ -48,8 +48,8 @@ def focal_stack(
     Raises
     ------
     ValueError
-        If shapes differ, a value is not finite, a length or the noise negative, or noise is asked
-        for without a generator.
+        If shapes differ, a value is not finite, a length or the noise negative, or there is
+        noise but no `rng`.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def focal_stack(
     sigma = scalar("noise", noise, least=0)
     rng = noise_source(rng, sigma)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
-    # The ladder must reach past the largest blur whatever its last digit.
+    # The ladder must contain the largest blur in spite of rounding.
     largest = float(np.hypot(least, rate * furthest)) * (1 + 1e-9)
     if largest > (width := max(image.shape)):
         raise ValueError(

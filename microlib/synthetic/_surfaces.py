@@ -53,7 +53,7 @@ def parabolic_cylinder(
 
 
 def paraboloid(shape: tuple[int, int], height: float) -> Array:
-    """Return a round dome whose foot touches the corners of the image.
+    """Return a paraboloid whose base passes through the corners of the image.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def sphere_on_plane(
     grain: float = 5.0,
     rng: np.random.Generator | int | None = None,
 ) -> Array:
-    """Return what a camera sees from above of a ball that lies on a plane, such as a solder ball.
+    """Return the visible height of a ball on a plane, such as a solder ball, from above.
 
     Parameters
     ----------
@@ -103,11 +103,11 @@ def sphere_on_plane(
     pixel_size : float
         Distance between pixels on the object, µm.
     roughness : float
-        Root mean square of the relief on the ball, µm.
+        Root mean square height of the relief on the ball, µm.
     grain : float
         Size of the relief's grains, the standard deviation of the Gaussian that smooths it, px.
     rng : numpy.random.Generator or int, optional
-        Source of the relief, or its seed; needed if `roughness` is not zero.
+        Random generator of the relief, or its seed; required if `roughness` is not zero.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def sphere_on_plane(
     Raises
     ------
     ValueError
-        If a length is not positive, or relief is asked for without a generator.
+        If a length is not positive, or there is relief but no `rng`.
 
     Examples
     --------
@@ -141,16 +141,16 @@ def sphere_on_plane(
 
 
 def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
-    """Return a cone that stands on a plane.
+    """Return a cone on a plane.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns.
     height : float
-        Height of the tip, µm.
+        Height of the apex, µm.
     radius : float
-        Radius of the foot, px.
+        Radius of the base, px.
 
     Returns
     -------
@@ -169,5 +169,5 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     [0.0, 5.0, 10.0, 5.0, 0.0]
     """
     x, y = _centered(shape)
-    foot = scalar("radius", radius, above=0)
-    return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / foot, 0)
+    base = scalar("radius", radius, above=0)
+    return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / base, 0)

@@ -1,4 +1,4 @@
-"""Grey textures to focus on, with a known mean and contrast."""
+"""Random textures with given mean and contrast."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from microlib._common import as_array, generator, image_shape, positive, scalar
 
 
 def eight_bits(image: NDArray) -> NDArray[np.uint8]:
-    """Return grey levels as a camera of eight bits counts them."""
+    """Return grey levels rounded and clipped to 8 bits."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def noise_source(rng: np.random.Generator | int | None, noise: float) -> np.random.Generator:
-    """Return the generator of a scene, which has to be given if there is any noise."""
+    """Return the random generator of a scene, which is required if there is noise."""
     if rng is None and noise > 0:
-        raise ValueError("rng must be given where there is noise, got None")
+        raise ValueError("rng must be given if there is noise, got None")
     return generator("rng", 0 if rng is None else rng)
 
 
@@ -29,14 +29,14 @@ def mixed_texture(
     std: float = 38.0,
     scales: ArrayLike = (0.6, 1.2, 2.4, 4.8, 9.6),
 ) -> NDArray[np.float32]:
-    """Return a random texture with detail of several sizes, like paper or ground metal.
+    """Return a random texture with detail at several scales, like paper or ground metal.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns.
     rng : numpy.random.Generator or int
-        Source of the pattern, or its seed.
+        Random generator, or its seed.
     mean, std : float
         Mean and standard deviation of the grey levels, exactly those of the result.
     scales : array_like

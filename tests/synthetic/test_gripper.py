@@ -8,7 +8,7 @@ from microlib.synthetic import gripper_scene
 
 
 @pytest.mark.parametrize("pixel_size", [6.23, 1.55])
-def test_the_gripper_moves_by_the_shift(pixel_size):
+def test_gripper_moves_by_the_shift(pixel_size):
     scene = gripper_scene(np.random.default_rng(3), pixel_size=pixel_size)
     assert scene.opening == pytest.approx(100 / pixel_size)
     rng = np.random.default_rng(0)

@@ -15,13 +15,13 @@ SCOPE = Microscope(
 )  # fmt: skip
 
 
-def test_a_pattern_may_be_black_on_white():
+def test_pattern_can_be_bright_on_dark():
     light = synthetic.ImagingConditions(blur=0.0, dark=0, bright=255)
     image = synthetic.render_squares(SCOPE, imaging=light)
     assert (image.min(), image.max()) == (0, 255)
 
 
-def test_a_pixel_in_the_very_middle_of_a_square_is_dark():
+def test_center_pixel_of_a_square_is_dark():
     """Its middle is as far from either side: that leaked a division by zero."""
     straight = Microscope(200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, image_size=(21, 21))
     image = synthetic.render_squares(straight, side=120.0)
@@ -29,7 +29,7 @@ def test_a_pixel_in_the_very_middle_of_a_square_is_dark():
     assert image[10, 10] == image.min()
 
 
-def test_edges_are_those_of_dense_sampling():
+def test_edges_equal_dense_sampling():
     """A tilted, distorted square against scikit-image's polygon on a 15-fold finer grid."""
     scope = Microscope(2e5, 1e5, 5e4, 5e-8, 0.4, 0.3, -0.2, tx=-60, ty=-80, image_size=(80, 70))
     light = synthetic.ImagingConditions(blur=0.0)
@@ -59,7 +59,7 @@ def test_edges_are_those_of_dense_sampling():
         ).image,
     ],
 )  # fmt: skip
-def test_noise_has_its_standard_deviation(draw):
+def test_noise_has_the_given_standard_deviation(draw):
     frame = draw(np.full((200, 210), 195.0))
     assert frame.dtype == np.uint8
     # 42,000 pixels: the mean to 0.015, the spread to 0.4 %; rounding adds 1/12 to the variance.

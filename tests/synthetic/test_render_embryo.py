@@ -35,7 +35,7 @@ def test_dimple_balances_force_and_stretch(force, modulus, rim, c):
 
 @settings(deadline=None, max_examples=15)
 @given(force=forces, rim=rims)
-def test_volume_and_rim(force, rim):
+def test_volume_is_kept_and_rim_has_its_radius(force, rim):
     embryo = Embryo.pressed(force, modulus=1.0, rim_radius=rim)
     x, y = embryo.outline(0.5).T
     right = x >= 0
@@ -51,7 +51,7 @@ def test_volume_and_rim(force, rim):
     assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
 
 
-def test_outline_has_no_corner_but_at_the_probe():
+def test_outline_is_smooth_except_at_the_probe():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     points = embryo.outline(1.0)
     step = np.diff(np.concatenate([points, points[:1]]), axis=0)
@@ -62,7 +62,7 @@ def test_outline_has_no_corner_but_at_the_probe():
     assert turn[corner].max() > 0.3
 
 
-def test_table_5_6_is_one_of_them():
+def test_depth_of_table_5_6_is_reproduced():
     embryo = Embryo(modulus=1.3237, force=197.24, dimple_radius=246.95)
     # Half a unit in the last place of E (5e-5) is a third of that in w_d: 0.0015 µm; of w_d 0.005.
     assert embryo.dimple_depth == pytest.approx(121.22, abs=0.0065)
@@ -75,7 +75,7 @@ def test_dented_inverts_pressed():
     assert dented.dimple_radius == pytest.approx(pressed.dimple_radius, rel=1e-9)
 
 
-def test_image_shows_the_embryo_where_the_truth_says():
+def test_edges_in_the_image_are_at_the_true_outline():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     scene = embryo_image(
         embryo, rng=0, noise=0.0, unevenness=0.0, shape=(260, 600), center=(500.3, 240.7)
@@ -100,7 +100,7 @@ def test_image_shows_the_embryo_where_the_truth_says():
     assert (right - left) * scene.pixel_size == pytest.approx(50.0, abs=0.5)
 
 
-def test_the_probe_ends_on_the_chorion():
+def test_probe_ends_on_the_chorion():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     options = {"pixel_size": 0.5, "shape": (120, 100), "noise": 0.0, "unevenness": 0.0}
     # Under the probe the chorion is flat: at 0.5 µm a px its 3 µm are 6 px of its own grey.
@@ -114,14 +114,14 @@ def test_the_probe_ends_on_the_chorion():
     assert wall[-1] == pytest.approx(60 + 3, abs=1.0)
 
 
-def test_the_embryo_is_in_the_middle_by_default():
+def test_embryo_is_centered_by_default():
     embryo = Embryo.pressed(100.0, modulus=1.0)
     scene = embryo_image(embryo, rng=0, pixel_size=20.0, shape=(80, 100))
     middle = scene.to_pixels([[0.0, -embryo.height / 2]])[0]
     np.testing.assert_allclose(middle, (49.5, 39.5), atol=1e-9)
 
 
-def test_the_yolk_lies_in_the_middle_and_keeps_clear_of_the_chorion():
+def test_yolk_is_centered_inside_the_chorion():
     embryo = Embryo.pressed(100.0, modulus=1.0)
     options = {"pixel_size": 5.0, "shape": (300, 300), "noise": 0.0, "unevenness": 0.0}
     scene = embryo_image(embryo, rng=0, probe=False, **options)
@@ -137,7 +137,7 @@ def test_the_yolk_lies_in_the_middle_and_keeps_clear_of_the_chorion():
     assert scene.image[round(y), round(x)] == pytest.approx(112.0, abs=30)
 
 
-def test_light_falls_from_any_side():
+def test_illumination_gradient_has_any_direction():
     slopes = []
     for seed in range(8):
         image = embryo_image(
@@ -154,7 +154,7 @@ def test_light_falls_from_any_side():
     assert np.abs(slopes).max() > 10
 
 
-def test_tilt_turns_the_scene_clockwise_about_its_center():
+def test_tilt_rotates_the_scene_clockwise():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
     length = 100.0 / scene.pixel_size
@@ -168,6 +168,6 @@ def test_untouched_embryo_is_round():
     np.testing.assert_allclose(np.hypot(x, y + 600.0), 600.0, atol=1e-3)
 
 
-def test_a_dimple_too_steep_for_an_embryo_is_refused():
+def test_dimple_deeper_than_the_embryo_allows_is_rejected():
     with pytest.raises(ValueError, match="dimple_radius must suit an embryo"):
         Embryo(0.01, 500.0, 100.0)

@@ -10,7 +10,7 @@ from microlib.curvature import surface_curvature
 SHAPE = (40, 50)
 
 
-def test_textures_have_the_contrast_asked_for_and_detail_at_every_scale():
+def test_textures_have_the_given_contrast_and_scales():
     texture = synthetic.mixed_texture((256, 256), np.random.default_rng(0), mean=100, std=20)
     assert texture.mean() == pytest.approx(100, abs=1e-3)
     assert texture.std() == pytest.approx(20, rel=1e-4)
@@ -28,14 +28,14 @@ def test_textures_have_the_contrast_asked_for_and_detail_at_every_scale():
         assert correlation == pytest.approx(np.exp(-(d**2) / (4 * 1.5**2)), abs=0.03)
 
 
-def test_one_seed_one_scene():
+def test_same_seed_gives_the_same_scene():
     seeds = (1, 1, 2)
     once, again, other = (synthetic.mixed_texture(SHAPE, np.random.default_rng(s)) for s in seeds)
     np.testing.assert_array_equal(once, again)
     assert not np.array_equal(once, other)
 
 
-def test_surfaces_have_the_curvature_of_their_names():
+def test_surfaces_have_the_expected_curvature():
     height, width = 500.0, 40.0
     parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
     found = surface_curvature(parabola, pixel_size=10.0, size=3)
@@ -50,7 +50,7 @@ def test_surfaces_have_the_curvature_of_their_names():
     assert ball[0, 0] == 0
 
 
-def test_roughness_is_that_of_the_ball_alone():
+def test_roughness_is_on_the_ball_only():
     smooth = synthetic.sphere_on_plane((80, 80), 30.0, 1.0)
     rough = synthetic.sphere_on_plane(
         (80, 80), 30.0, 1.0, roughness=2.0, rng=np.random.default_rng(0)
@@ -60,7 +60,7 @@ def test_roughness_is_that_of_the_ball_alone():
     assert np.ptp((rough - smooth)[~ball]) == 0
 
 
-def test_frames_are_blurred_by_the_distance_to_focus():
+def test_blur_grows_with_the_distance_from_focus():
     rng = np.random.default_rng(0)
     texture = synthetic.mixed_texture(SHAPE, rng)
     stack = synthetic.focal_stack(texture, np.full(SHAPE, 5.0), [0.0, 5.0, 10.0], blur_rate=0.3)
