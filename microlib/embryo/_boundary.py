@@ -1,14 +1,14 @@
-"""From an image to the upper outline of an embryo: find the probe, take it out, follow the edge.
+"""Upper outline of an embryo in an image: find the probe, remove it, and follow the edge.
 
-The chain of the thesis' section 5.6 (crop, mark and remove the probe, Canny, contour), with nobody
-marking anything. The image shows the probe coming from one of its edges onto the embryo, dark on a
-bright ground, and is turned so that this edge is the upper one. Image points are (x, y) in px with
-y *down*; the outline is given with y *up*, as `fit_gaussians` and the thesis' figures have it.
+The steps are those of section 5.6 of the thesis (crop, mark and remove the probe, Canny, contour),
+without marking by hand. The image shows a dark probe on a bright ground, which enters through one
+edge of the image. The image is rotated so that this edge is the upper one. Image points are (x, y)
+in px with y *down*. The outline has y *up*, as in `fit_gaussians` and the figures of the thesis.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,37 +16,41 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from microlib._common import Array, Tidy, as_image, luminance, one_of
-from microlib.embryo._probe import CLEARANCE, MARGIN, SMALLEST, Probe, find_probe, remove_probe
+from microlib.embryo._probe import CLEARANCE, MARGIN, MIN_IMAGE, Probe, find_probe, remove_probe
 from microlib.embryo._view import DIRECTIONS, View
-from microlib.embryo._wall import Settings, locate_wall
+from microlib.embryo._wall import locate_wall
 
-#: Columns of outline wanted on each side of the probe; nothing changes from 10 to 40.
-SHORTEST_SIDE = 20
+#: Least number of columns of the outline on each side of the probe; 10 to 40 change nothing.
+MIN_SIDE = 20
+#: Standard deviation of the Gaussian filter before Canny, px.
+_EDGE_BLUR = 1.4
+#: Points over which a Savitzky–Golay filter averages the direction of the outline.
+_SMOOTHING = 11
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Boundary(Tidy):
-    """The outline of an embryo on the probe's side, the middle of its chorion, from left to right.
+    """Outline of an embryo on the side of the probe, along the middle of its chorion.
 
-    All but `points` is as seen with the probe coming from above.
+    All fields refer to the image rotated so that the probe comes from above. `points` are points of
+    the image itself.
 
     Attributes
     ----------
     x, y : ndarray, shape (n,)
-        Outline, in px, x ascending and y *up* from the last row of the image.
+        Outline from left to right, in px, y *up* from the last row of the image.
     std : ndarray, shape (n,)
         Standard deviation of each point across the outline, in px.
     under_probe : ndarray of bool, shape (n,)
-        Points at the probe's end, where the probe hides the chorion.
+        Points at the end of the probe, where the probe hides the chorion.
     probe : Probe
-        The probe, y down.
+        Position and width of the probe, y down.
     blur : float
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
-        Rows of the image as it is turned: y = image_height − 1 − row.
+        Rows of the rotated image: y = image_height − 1 − row.
     view : View
-        The edge that the probe comes from, `direction`, and how the image was turned to bring the
-        probe upright.
+        Rotation of the image, with the edge that the probe comes from as `direction`.
     """
 
     _large = ("x", "y", "std", "under_probe")
@@ -62,14 +66,13 @@ class Boundary(Tidy):
 
     @property
     def points(self) -> Array:
-        """The outline as points (x, y) of the whole image, y down, in px; shape (n, 2)."""
+        """Points (x, y) of the outline in the image, y down, in px; shape (n, 2)."""
         return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
-        """Return `image`, turned as `view` says, with the probe filled by the ground beside it."""
-        width, height = self.view.size
-        grey = as_image("image", luminance("image", image), smallest=SMALLEST)[:height, :width]
-        return remove_probe(self.view.of(grey), self.probe)
+        """Return the image rotated by `view`, with the probe replaced by the ground beside it."""
+        grey = as_image("image", luminance("image", image), smallest=MIN_IMAGE)
+        return remove_probe(self.view.rotate(grey), self.probe)
 
 
 def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool = True) -> Boundary:
@@ -80,24 +83,23 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     image : array_like, shape (rows, columns)
         Grey or color image, integer or float; bright ground, dark probe.
     direction : {"auto", "top", "bottom", "left", "right"}
-        Edge of the image that the probe comes from; ``"auto"`` takes the first of the four, in this
-        order, from which one comes that makes a dimple.
+        Edge of the image that the probe comes from. ``"auto"`` is the first of the four, in this
+        order, for which an outline is found.
     dimple : bool, optional
-        Whether the probe must make a dimple. If not, it may as well be on its way to the embryo,
-        and the outline has no points under it.
+        Whether an outline must have a dimple. If False, the probe may also be at a distance from
+        the embryo, and the outline has no points under the probe.
 
     Returns
     -------
     Boundary
-        The outline as a function y(x) with the probe above, about one point a px of its length:
-        `x`, `y` and `std`, and as points of the image, `points`; with the `probe`, the image
-        `without_probe`, and the `view` with the `direction` that the probe comes from.
+        The outline `x`, `y` with its standard deviation `std`, about one point per px of its
+        length, and the same outline as `points` of the image; the `probe` and the `view`.
 
     Raises
     ------
     ValueError
-        If the image is saturated, no probe comes from the edge or it leans by more than 60°, or
-        there is no outline or, if there must be one, no dimple on both sides of the probe.
+        If the image is saturated, no probe comes from the edge, the probe leans by more than 60°,
+        or the image shows no outline or no dimple on both sides of the probe.
 
     See Also
     --------
@@ -105,11 +107,15 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
 
     Notes
     -----
-    Canny edges give the outline to a pixel. Along the normals of that curve the grey profile of a
-    blurred wall is fitted twice (`locate_wall`), which gives the *middle* of the chorion; samples
-    that the probe's blur reaches are left out. Below the probe the outline is the end of the probe.
-    An image in which the probe leans by more than 4° is turned first, so that it comes from above.
-    A large image whose edges are too blurred for Canny is searched again, binned 2 × 2.
+    1. The probe is found. An image in which it leans by more than 4° is rotated.
+    2. The probe is replaced by the ground beside it, and Canny edges give the outline to a pixel.
+    3. A blurred wall is fitted to the grey profile along each normal, twice. Its position is the
+       *middle* of the chorion. Samples within the blur of the probe are not used.
+    4. Under the probe, the outline is the end of the probe.
+
+    The standard deviation covers the noise of the profiles. A wall that is darker outside than
+    inside shifts all points alike, by about 0.02 px. An image blurred by more than about 2.7 px
+    must be reduced first, for example to half of its size, with twice the `pixel_size`.
 
     Examples
     --------
@@ -124,69 +130,33 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """
-    whole = as_image("image", luminance("image", image), smallest=SMALLEST)
+    whole = as_image("image", luminance("image", image), smallest=MIN_IMAGE)
     one_of("direction", direction, ("auto", *DIRECTIONS))
-    _refuse_saturated(np.asarray(image), whole)
-    refused: dict[str, list[str]] = {}
+    _check_exposure(np.asarray(image), whole)
+    reasons: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _outline_at_either_scale(whole, edge, dimple)
+            return _extract_from_above(whole, View(whole.shape[::-1], edge), dimple)
         except ValueError as reason:
-            refused.setdefault(str(reason), []).append(edge)
+            reasons.setdefault(str(reason), []).append(edge)
     raise ValueError(
-        "; ".join(f"{reason} (from the {', '.join(edges)})" for reason, edges in refused.items())
+        "; ".join(f"{reason} (from the {', '.join(edges)})" for reason, edges in reasons.items())
     )
 
 
-class _NoOutline(ValueError):
-    """No outline was found beside a probe."""
-
-
-def _outline_at_either_scale(whole: NDArray[np.float32], edge: str, dimple: bool) -> Boundary:
-    """Find the outline in an image, or in the same binned 2 × 2, whose blur is half as broad."""
-    rows, columns = whole.shape
-    try:
-        return _outline_from_above(whole, View((columns, rows), edge), dimple)
-    except _NoOutline:
-        if min(rows, columns) < 4 * SMALLEST:
-            raise
-        even = whole[: rows // 2 * 2, : columns // 2 * 2]
-        half = columns // 2, rows // 2
-        binned: NDArray = np.asarray(cv2.resize(even, half, interpolation=cv2.INTER_AREA))
-        found = _outline_from_above(binned, View(binned.shape[::-1], edge), dimple)
-    # The middle of the first of two pixels is a quarter of their bin before that of the bin.
-    probe, view = found.probe, found.view
-    left, first, width, height = (2 * n for n in view.frame)
-    return replace(
-        found,
-        x=2 * found.x + 0.5,
-        y=2 * found.y + 0.5,
-        std=2 * found.std,
-        probe=replace(
-            probe,
-            tip=(2 * probe.tip[0] + 0.5, 2 * probe.tip[1] + 0.5),
-            half_width=2 * probe.half_width,
-        ),
-        blur=2 * found.blur,
-        image_height=2 * found.image_height,
-        view=replace(view, size=even.shape[::-1], frame=(left, first, width, height)),
-    )
-
-
-def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
-    """Find the outline on both sides of a probe that comes from above, stage by stage."""
-    settings = Settings()
+def _extract_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
+    """Find the outline on both sides of a probe that comes from above."""
     grey, probe, view = find_probe(whole, view)
-    sides = _trace(remove_probe(grey, probe), probe, settings)
-    sides = [_resample(side, settings.smoothing) for side in sides]
+    traced, blur = _trace_outline(remove_probe(grey, probe), probe)
+    sides = [_resample(side) for side in traced]
     if dimple:
-        _refuse_without_dimple(sides, probe)
-    sides, blur = _refine(grey, sides, probe, 0.0, settings)
-    sides, blur = _refine(grey, sides, probe, blur, settings)
+        _check_dimple(sides, probe)
+    sides, blur = _refine_on_wall(grey, sides, probe, blur)
+    sides, blur = _refine_on_wall(grey, sides, probe, blur)
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
-    # Half a px: what is under the probe is not fitted.
+    # The standard deviation of points under the probe is a nominal half pixel: they are not fitted.
     tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
     x, y, std = np.concatenate([*sides, tip], axis=1)
     under = np.arange(x.size) >= x.size - hidden.size
@@ -203,117 +173,133 @@ def _outline_from_above(whole: NDArray[np.float32], view: View, dimple: bool) ->
     )
 
 
-def _refuse_saturated(image: NDArray, grey: NDArray[np.float32]) -> None:
-    """Refuse an image in which the ground has reached the top of its scale."""
-    # Resampling may overshoot 8 bits; levels of more bits end at an unknown top, which they reach.
+def _check_exposure(image: NDArray, grey: NDArray[np.float32]) -> None:
+    """Raise for an image whose ground is saturated."""
+    # Resampling may overshoot 8 bits. Images of more bits have an unknown white level, which
+    # saturated images reach.
     peak = float(grey.max())
     byte = float(np.iinfo(np.uint8).max)
-    top = 1.0 if peak <= 1.0 else byte if peak < 2 * byte else peak
+    white = 1.0 if peak <= 1.0 else byte if peak < 2 * byte else peak
     if image.dtype == np.uint8:
-        top = byte
-    share = float(np.mean(grey >= top))
-    # 15 % cost a rendered embryo's modulus nothing, 53 % cost 2.4 % of it (measured); but saturated
-    # ground is a fault of the exposure that only the operator can mend.
-    if share > 0.005:
+        white = byte
+    fraction = float(np.mean(grey >= white))
+    # 15 % of saturated pixels cost the modulus of a rendered embryo nothing and 53 % cost 2.4 %.
+    # Saturated ground is nevertheless a fault of the exposure, which the user can correct.
+    if fraction > 0.005:
         raise ValueError(
-            f"image must not be saturated, got {share:.1%} of its pixels at {top:g} or above"
+            f"image must not be saturated, got {fraction:.1%} of its pixels at {white:g} or above"
         )
 
 
-def _trace(filled: NDArray[np.float32], probe: Probe, settings: Settings) -> list[Array]:
-    """Follow the uppermost Canny edge from the probe outwards; (2, n) image points of each side."""
-    smooth = cv2.GaussianBlur(filled, (0, 0), settings.edge_blur)
+def _trace_outline(filled: NDArray[np.float32], probe: Probe) -> tuple[list[Array], float]:
+    """Follow the uppermost edge from the probe outwards.
+
+    Return (2, n) image points of each side, and the blur that is assumed of the image.
+    """
+    # The broader filter finds the edges of a blurred image.
+    for scale, blur in ((1, 0.0), (2, 2 * _EDGE_BLUR)):
+        edge = _canny(filled, scale)
+        first = np.where(edge.any(axis=0), edge.argmax(axis=0), -1)
+        sides: list[Array] = []
+        for step in (-1, 1):
+            apart = probe.half_width + CLEARANCE * scale**2 + 1
+            start = round(probe.tip[0] + step * apart)
+            columns = np.arange(first.size)[::step]
+            columns = columns[step * (columns - start) >= 0]
+            rows = first[columns]
+            broken = (rows < 0) | (np.abs(np.diff(rows, prepend=rows[:1])) > 6 * scale)
+            length = int(np.append(broken, True).argmax())
+            sides.append(np.stack([columns[:length], rows[:length]]).astype(np.float64)[:, ::step])
+        lengths = [side.shape[1] for side in sides]
+        if min(lengths) >= MIN_SIDE:
+            return sides, blur
+    raise ValueError(
+        "image must show an embryo's outline on both sides of the probe, got "
+        f"{lengths[0]} columns of it on the left and {lengths[1]} on the right"
+    )
+
+
+def _canny(filled: NDArray[np.float32], scale: int) -> NDArray[np.bool_]:
+    """Return Canny edges of at least 2 × `MIN_SIDE` px."""
+    smooth = cv2.GaussianBlur(filled, (0, 0), scale * _EDGE_BLUR)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    # The threshold stands above the noise, whose gradient the flat ground shows, and above what
-    # uneven light does to a picture without noise.
+    # The threshold is above the noise, whose median gradient is that of the flat ground, and above
+    # the gradient of uneven light in an image without noise. The gradient of an edge falls with the
+    # width of the filter.
     dark, bright = np.percentile(filled, (1, 99))
     noise = float(np.median(np.abs(dx) + np.abs(dy)))
-    least = max(4 * noise, float(bright - dark) / 4)
-    # Canny takes gradients of 16 bits and adds two: the largest is a quarter of what they hold.
+    least = max(4 * noise, float(bright - dark) / (4 * scale))
+    # Canny takes gradients of 16 bits and adds two: the largest is a quarter of the range.
     largest = float(max(np.abs(dx).max(), np.abs(dy).max())) or 1.0
-    scale = np.iinfo(np.int16).max / 4 / largest
-    dx, dy = (np.rint(slope * scale).astype(np.int16) for slope in (dx, dy))
-    edges = cv2.Canny(dx, dy, least * scale, 2 * least * scale)
+    gain = np.iinfo(np.int16).max / 4 / largest
+    dx, dy = (np.rint(slope * gain).astype(np.int16) for slope in (dx, dy))
+    edges = cv2.Canny(dx, dy, least * gain, 2 * least * gain)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(edges)
-    edge = (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * SHORTEST_SIDE)[labels]
-    first = np.where(edge.any(axis=0), edge.argmax(axis=0), -1)
-    sides: list[Array] = []
-    for step, name in ((-1, "left"), (1, "right")):
-        start = round(probe.tip[0] + step * (probe.half_width + CLEARANCE + 1))
-        columns = np.arange(first.size)[::step]
-        columns = columns[step * (columns - start) >= 0]
-        rows = first[columns]
-        broken = (rows < 0) | (np.abs(np.diff(rows, prepend=rows[:1])) > 6)
-        length = int(np.append(broken, True).argmax())
-        if length < SHORTEST_SIDE:
-            raise _NoOutline(
-                f"image must show an embryo's outline on both sides of the probe, got {length} "
-                f"columns of it on the {name}"
-            )
-        sides.append(np.stack([columns[:length], rows[:length]]).astype(np.float64)[:, ::step])
-    return sides
+    return (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * MIN_SIDE)[labels]
 
 
-def _resample(curve: Array, least: int) -> Array:
-    """Points at equal distances of about one px along a curve."""
+def _resample(curve: Array) -> Array:
+    """Return points at equal distances of about one px along a curve."""
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve[:2])))])
-    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, least))
+    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, _SMOOTHING))
     return np.stack([np.interp(even, length, row) for row in curve[:2]])
 
 
-def _refine(
-    grey: NDArray[np.float32], sides: list[Array], probe: Probe, blur: float, settings: Settings
+def _refine_on_wall(
+    grey: NDArray[np.float32], sides: list[Array], probe: Probe, blur: float
 ) -> tuple[list[Array], float]:
-    """Move the curves onto the middle of the wall: x, y, std of each side, and the blur.
+    """Move the curves to the middle of the wall: return x, y, std of each side, and the blur.
 
-    The profiles are sampled twice a px, from outside to inside; `blur` is what is known of it.
+    `blur` is that of the image, as known before.
     """
-    from scipy.signal import savgol_filter  # here, as it takes long to import
+    from scipy.signal import savgol_filter  # here, because it takes long to import
 
-    reach = settings.profile_reach
-    offsets = np.linspace(-reach, reach, int(4 * reach) + 1)
-    clearance = max(CLEARANCE, settings.blur_reach * blur)
-    # A broad blur takes profiles of twice the length, of half as many points.
-    scale = 2 if settings.blur_reach * blur > reach else 1
+    # Profiles run from outside to inside, with two samples per px: the blurred wall, the error of
+    # Canny's edge, and ground and fluid beyond. A broad blur has profiles of twice the length at
+    # every second point.
+    scale = 2 if 3 * blur > 5 else 1
+    offsets = scale * np.linspace(-5, 5, 21)
     sides = [side[:, ::scale] for side in sides]
-    smooth = [savgol_filter(side[:2], settings.smoothing, 2, axis=1) for side in sides]
-    tangent = [savgol_filter(side[:2], settings.smoothing, 2, deriv=1, axis=1) for side in sides]
+    smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
+    tangent = [savgol_filter(side[:2], _SMOOTHING, 2, deriv=1, axis=1) for side in sides]
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
-    # Both sides run from left to right: turned clockwise on the screen, the tangent points inside.
+    # Both sides run from left to right: rotated clockwise on the screen, the tangent points inside.
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
-    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * scale * offsets
+    x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * offsets
     profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
+    # Samples within three standard deviations of the probe's blur are not used: two bias the flank,
+    # and more remove its steepest part.
+    clearance = max(CLEARANCE, 3 * blur)
     beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + MARGIN)
-    wall = locate_wall(profiles, offsets, weights=clear, settings=settings)
+    wall = locate_wall(profiles, offsets / scale, weights=clear)
     points = start + normal * scale * wall.position
-    usual = np.nanmedian(wall.std)
-    good = np.isfinite(wall.position) & (wall.std < settings.largest_std * usual)
+    good = np.isfinite(wall.position) & (wall.std < 6 * np.nanmedian(wall.std))
     on_left = np.arange(good.size) < smooth[0].shape[1]
     measured = np.vstack([points, scale * wall.std])
     found = [measured[:, good & on_left], measured[:, good & ~on_left]]
     for name, side in zip(("left", "right"), found, strict=True):
-        if side.shape[1] < SHORTEST_SIDE:
-            raise _NoOutline(
+        if side.shape[1] < MIN_SIDE:
+            raise ValueError(
                 f"image must show a wall along the outline, got {side.shape[1]} points of it on "
                 f"the {name} of the probe"
             )
-    return found, scale * wall.width
+    return found, scale * wall.blur
 
 
-def _refuse_without_dimple(sides: list[Array], probe: Probe) -> None:
-    """Refuse an outline whose highest points are not beside the probe and above its end."""
+def _check_dimple(sides: list[Array], probe: Probe) -> None:
+    """Raise for an outline without a dimple around the end of the probe."""
     for name, (x, y) in zip(("left", "right"), sides, strict=True):
         rim = int(y.argmin())
         depth = probe.tip[1] - y[rim]
         apart = abs(x[rim] - probe.tip[0]) - probe.half_width - CLEARANCE
-        ends = min(rim, y.size - 1 - rim)
+        to_end = min(rim, y.size - 1 - rim)
         fall = (y[-1] if name == "left" else y[0]) - y[rim]
-        # At 3 px the modulus is uncertain by 20 %, at 6 by 5 % (measured); the estimate says so.
-        # (4.2) and capsules have fallen by half of their depth 3 px beside the thinnest needle; an
-        # outline on which something only stands has not fallen at all. It is followed in whole
-        # rows, so that a fall is seen up to one row too small; but a fall of two rows is one.
-        if min(depth, apart, ends) < 3 or fall < depth / 3 - (fall >= 2):
+        # A depth of 3 px leaves the modulus uncertain by 20 %, one of 6 px by 5 % (measured). At
+        # 3 px from the thinnest needle, (4.2) and capsules have fallen by half of their depth. An
+        # outline with an object on top has not fallen. The fall is known to one row, and a fall of
+        # two rows is one.
+        if min(depth, apart, to_end) < 3 or fall < depth / 3 - (fall >= 2):
             raise ValueError(
                 "image must show a dimple at least 3 px deep around the probe's end, to which the "
                 f"outline falls, got {depth:.1f} px and a fall of {fall:.1f} px on the {name}"

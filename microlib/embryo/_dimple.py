@@ -243,7 +243,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     of_kind("boundary", boundary, Boundary)
     size = scalar("pixel_size", pixel_size, above=0)
     c = scalar("probe_half_width", probe_half_width, above=0) / size
-    refuse_another_width(boundary, c, size)
+    check_probe_width(boundary, c, size)
     outline = np.stack([boundary.x, boundary.y, boundary.std])[:, ~boundary.under_probe]
     start = _start(outline[0], outline[1], boundary)
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
@@ -291,7 +291,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     )
 
 
-def refuse_another_width(boundary: Boundary, half_width: float, pixel_size: float) -> None:
+def check_probe_width(boundary: Boundary, half_width: float, pixel_size: float) -> None:
     """Refuse a half-width (px) that is not that of the probe in the image."""
     seen = boundary.probe.half_width
     factor = max(half_width / seen, seen / half_width)

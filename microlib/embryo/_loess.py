@@ -1,28 +1,22 @@
-"""Local regression: smooth y(x) without assuming a shape."""
+"""Local polynomial regression (LOESS)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import (
-    Array,
-    as_array,
-    same_length,
-    scalar,
-    whole,
-)
+from microlib._common import Array, as_array, same_length, scalar, whole
 
 
 def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) -> Array:
-    r"""Smooth y(x) by polynomials fitted locally (Cleveland 1979).
+    r"""Smooth y(x) by local polynomial regression, LOESS (Cleveland 1979).
 
     Parameters
     ----------
     x, y : array_like, shape (n,)
         Data, in any order and unit.
     span : float
-        Share of the data used around each point, in (0, 1]. The thesis uses 0.25.
+        Fraction of the data in the neighborhood of each point, in (0, 1]. The thesis uses 0.25.
     degree : int
         Degree of the local polynomials, 1 or 2. The thesis uses 2.
 
@@ -34,17 +28,17 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     Raises
     ------
     ValueError
-        If the arrays differ in length or hold NaN, `span` or `degree` is out of range, or a
+        If the arrays differ in length or contain NaN, `span` or `degree` is out of range, or a
         neighborhood has too few different x for its polynomial.
 
     Notes
     -----
-    A neighborhood is the :math:`k = \lfloor \text{span} \cdot n \rfloor` nearest points, weighted
-    by the tricube :math:`(1 - |u|^3)^3` of the distance over that of the furthest. All local
-    normal equations are solved together.
+    A neighborhood contains the :math:`k = \lfloor \text{span} \cdot n \rfloor` nearest points. Its
+    weights are the tricube :math:`(1 - |u|^3)^3`, where u is the distance divided by that of the
+    furthest point.
 
-    The smoothing is not free: where y(x) bends within a neighborhood, as at the bottom of a
-    dimple, the result is flatter than the data.
+    The smoothing has a bias. Where y(x) bends within a neighborhood, as at the bottom of a dimple,
+    the result is flatter than the data.
 
     References
     ----------
@@ -64,46 +58,31 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     same_length(("x", "y"), x, y)
     share = scalar("span", span, above=0, most=1)
     whole("degree", degree, least=1, most=2)
-    # So that a product such as 0.29 × 100 loses no neighbor to rounding.
+    # A product such as 0.29 × 100 must not lose a neighbor to rounding.
     k = int(share * len(x) * (1 + 4 * np.finfo(float).eps))
     if k < degree + 1:
         raise ValueError(
-            f"span must hold at least {degree + 1} points for degree {degree}, got {k} of {len(x)}"
+            f"span must give {degree + 1} points or more for degree {degree}, got {k} of {len(x)}"
         )
 
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
-    # Moving a neighborhood on by one point swaps its first for the next; it pays as long as the
-    # two lie symmetrically left of x. The sums rise, so that the place is a binary search.
+    # The neighborhood of k points begins at the first place from which its first point is not
+    # further from x than the point behind its last.
     first = np.searchsorted(x[: len(x) - k] + x[k:], 2 * x)
-    smooth = np.empty_like(x)
-    # What fits into a processor's cache, 256 kB an array; the result is the same for any.
-    block = max(1, 2**15 // k)
-    for start in range(0, len(x), block):
-        rows = slice(start, start + block)
-        members = first[rows, np.newaxis] + np.arange(k)
-        u = x[members] - x[rows, np.newaxis]
-        reach = np.abs(u).max(axis=1, keepdims=True)
-        u /= np.where(reach > 0, reach, 1.0)
-        cube = 1 - np.abs(u * u * u)
-        smooth[rows] = _local_fits(u, y[members], cube * cube * cube, degree)
-    if np.isnan(smooth).any():
-        raise ValueError(
-            f"x must hold {degree + 1} different values in each neighborhood of {k} points, got "
-            "fewer"
-        )
-    return smooth[np.argsort(order)]
-
-
-def _local_fits(u: Array, y: Array, weights: Array, degree: int) -> Array:
-    """Value at u = 0 of the weighted polynomial of each row; NaN where it is not determined."""
-    # The normal equations: on |u| ≤ 1 their condition stays below about 1e5, which leaves ten
-    # digits.
+    members = first[:, np.newaxis] + np.arange(k)
+    distance = x[members] - x[:, np.newaxis]
+    furthest = np.abs(distance).max(axis=1, keepdims=True)
+    u = distance / np.where(furthest > 0, furthest, 1.0)
+    weights = (1 - np.abs(u) ** 3) ** 3
+    # The weighted normal equations of all points. Their condition is below about 1e5 for |u| ≤ 1.
     powers = u[..., np.newaxis] ** np.arange(degree + 1)
     weighted = (weights[..., np.newaxis] * powers).swapaxes(1, 2)
-    normal, right = weighted @ powers, weighted @ y[..., np.newaxis]
-    # What the sums' roundings leave; evenly spaced points give 1e-4 or more.
-    least = 4 * u.shape[1] * np.finfo(float).eps
-    poor = np.linalg.det(normal) <= least * normal[:, 0, 0] ** (degree + 1)
-    normal[poor] = np.eye(degree + 1)
-    return np.where(poor, np.nan, np.linalg.solve(normal, right)[:, 0, 0])
+    normal, right = weighted @ powers, weighted @ y[members][..., np.newaxis]
+    # The limit is the rounding of the sums. Evenly spaced points have 1e-4 or more.
+    least = 4 * k * np.finfo(float).eps * normal[:, 0, 0] ** (degree + 1)
+    if (np.linalg.det(normal) <= least).any():
+        raise ValueError(
+            f"x must have {degree + 1} different values in each neighborhood of {k} points"
+        )
+    return np.linalg.solve(normal, right)[np.argsort(order), 0, 0]

@@ -1,7 +1,7 @@
-"""From one image and one number to another: force to modulus, or modulus to force.
+"""Elastic modulus of a known force, or force of a known modulus, from one image of an indentation.
 
-The whole chain of the thesis' section 5.6, without a hand: outline, dimple, point-load model.
-Lengths are in µm, forces in µN, moduli in MPa.
+The steps are those of section 5.6 of the thesis, without marking by hand: outline, dimple, and
+point-load model. Lengths are in µm, forces in µN, moduli in MPa.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from microlib._common import Array, Tidy, measured, one_of, poisson
-from microlib.embryo._boundary import SHORTEST_SIDE, Boundary, extract_boundary
-from microlib.embryo._dimple import DimpleFit, fit_dimple, refuse_another_width
+from microlib.embryo._boundary import MIN_SIDE, Boundary, extract_boundary
+from microlib.embryo._dimple import DimpleFit, check_probe_width, fit_dimple
 from microlib.membrane import (
     SmallSlopeWarning,
     capsule_modulus,
@@ -28,43 +28,44 @@ from microlib.membrane import (
     modulus_std,
 )
 
-#: Standard deviations to either side that hold 95 % of a normal distribution.
+#: Number of standard deviations on either side of a normal 95 % interval.
 NORMAL_95 = 1.959964
-#: Part of a capsule's relative deviation that the points do not scatter by: the middle of a wall's
-#: blurred profile is not quite that of the wall, alike at all points. Of the errors of 30 rendered
-#: capsules, whose wall is darker outside than inside, 0.0045 is the most likely, and 0.003 to 0.006
-#: are nearly as much (seeds 700 to 729 of benchmarks/capsule_embryo.py).
+#: Relative standard deviation of a capsule's modulus from an error that all points of an outline
+#: have in common: the fitted middle of the wall's blurred profile is not exactly that of the wall.
+#: The errors of 30 rendered capsules whose wall is darker outside than inside are most likely for
+#: 0.0045, and nearly as likely for 0.003 to 0.006 (seeds 700 to 729 of
+#: benchmarks/capsule_embryo.py).
 _OUTLINE_STD = 0.005
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImageEstimate(Tidy):
-    """A modulus or a force read off an image, by `modulus_from_image` or `force_from_image`.
+    """Modulus or force measured in an image, from `modulus_from_image` or `force_from_image`.
 
     Attributes
     ----------
     force, modulus : float
-        Indentation force F, in µN, and elastic modulus E, in MPa: one as given, the other as found.
+        Indentation force F, in µN, and elastic modulus E, in MPa. One is given, the other is found.
     found : {"modulus", "force"}
-        Which of the two was found.
+        Name of the quantity that was found.
     relative_std : float
-        Standard deviation of its logarithm that the image leaves open. Errors of the other, of the
-        thickness and of the probe's width come on top.
+        Standard deviation of the logarithm of the quantity found, from the errors of the outline.
     interval : tuple of float
-        95 % interval of what was found, from `relative_std`.
+        95 % interval of the quantity found, from `relative_std`.
     dimple : DimpleFit or CapsuleFit
-        Radius and depth with their covariance, or the capsule of `microlib.membrane.fit_capsule`.
+        Fit of the profile (4.2) with its covariance, or of `microlib.membrane.fit_capsule`.
     boundary : Boundary
-        The outline that was found.
+        Outline of the embryo.
     given : dict
         thickness and probe_half_width as given, in µm, and poisson_ratio.
 
     Notes
     -----
-    `interval` says how well the outline is known, as if the model were right; `misfit` whether the
-    outline looks like the model at all, which widens `interval` where it does not. `model_moduli`
-    and `model_interval` say what other models make of the same dimple. They are computed when they
-    are asked for, which takes half a second.
+    `interval` covers the error of the outline. It does not cover the errors of the given force or
+    modulus, of the thickness and of the probe's width, and it assumes that the model is right.
+    `misfit` measures how well the model fits the outline. `model_moduli` and `model_interval`
+    compare other models of the same dimple. They are computed at the first access, which takes half
+    a second.
     """
 
     force: float
@@ -77,21 +78,21 @@ class ImageEstimate(Tidy):
     given: dict[str, Any]
 
     def __repr__(self) -> str:
-        return f"ImageEstimate({self._said}, misfit {self.misfit:.1%} of the dimple's depth)"
+        return f"ImageEstimate({self._summary}, misfit {self.misfit:.1%} of the dimple's depth)"
 
     @property
-    def _said(self) -> str:
+    def _summary(self) -> str:
         (low, high), unit = self.interval, {"force": "µN", "modulus": "MPa"}[self.found]
         value = getattr(self, self.found)
         return f"{self.found} {value:.4g} {unit}, 95 % within {low:.4g} … {high:.4g}"
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the outline, and the dimple that was fitted to it, by Matplotlib.
+        """Draw the outline and the fitted dimple with Matplotlib.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw; by default in a new figure.
+            Axes to draw in, by default those of a new figure.
 
         Returns
         -------
@@ -100,61 +101,60 @@ class ImageEstimate(Tidy):
         from microlib._plots import outline
 
         curve = self.dimple if isinstance(self.dimple, DimpleFit) else None
-        return outline(self.boundary.x, self.boundary.y, curve, {}, self._said, ax)
+        return outline(self.boundary.x, self.boundary.y, curve, {}, self._summary, ax)
 
     @property
     def misfit(self) -> float:
-        """Root mean square departure of the outline from the model, as a share of the dimple's
-        depth. Noise leaves less than 0.01."""
+        """Root mean square distance of the outline from the model, divided by the dimple's depth.
+
+        Noise alone gives less than 0.01."""
         if isinstance(self.dimple, DimpleFit):
             return self.dimple.misfit * self.dimple.pixel_size / self.dimple.dimple_depth
         return float(self.dimple.misfit / self.dimple.state.depth)
 
     @cached_property
     def model_moduli(self) -> dict[str, float]:
-        """Modulus of this dimple by each model that can have it, in MPa, by the model's name.
+        """Modulus of this dimple by each model that can have it, in MPa, by the name of the model.
 
-        (4.7) with its uniform stress; a flat disc with and without the pressure F/(π a²), and a
-        capsule, each for neo-Hooke and Hooke. The capsule's radius is the one that was fitted, or
-        that of the outline where both of its ends fall steeply enough; without one no capsule is
-        among them, and an egg that is one may have a quarter of the modulus by
-        (4.7), or less (benchmarks/capsule_embryo.py).
+        The models are the point load (4.7), a flat disc with and without the pressure F/(π a²), and
+        a closed capsule. Discs and capsules have a neo-Hookean and a Hookean law. The capsule has
+        the fitted radius, or the radius of the outline if both of its ends are steep, and it is
+        omitted otherwise. The modulus of (4.7) may be four times that of the capsule, or more
+        (benchmarks/capsule_embryo.py).
         """
-        sizes = dict(self.given)
-        nu = sizes.pop("poisson_ratio")
-        state = getattr(self.dimple, "state", None)  # of a capsule
-        if state is not None:
-            radius, dimple = self.dimple.radius, (state.rim_radius, state.depth)
-        else:
+        lengths = {name: self.given[name] for name in ("thickness", "probe_half_width")}
+        nu = self.given["poisson_ratio"]
+        if isinstance(self.dimple, DimpleFit):
             dimple = (self.dimple.dimple_radius, self.dimple.dimple_depth)
             radius = _egg_radius(self.boundary, self.dimple.pixel_size)
-        with warnings.catch_warnings():
-            # Whoever compares the models sees that this one takes its slopes for small.
-            warnings.simplefilter("ignore", SmallSlopeWarning)
-            formula = elastic_modulus(self.force, *dimple, **sizes, poisson_ratio=nu)
-        found = {"point load": float(formula)}
+        else:
+            dimple = (self.dimple.state.rim_radius, self.dimple.state.depth)
+            radius = self.dimple.radius
+        with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
+            point_load = elastic_modulus(self.force, *dimple, **lengths, poisson_ratio=nu)
+        found = {"point load": float(point_load)}
         for law, ratio in (("neo-hooke", 0.5), ("hooke", nu)):
-            settings: dict[str, Any] = {"law": law, "poisson_ratio": ratio, **sizes}
-            for end, pressure in (("", "balance"), (", no pressure", 0.0)):
+            settings: dict[str, Any] = {"law": law, "poisson_ratio": ratio, **lengths}
+            for suffix, pressure in (("", "balance"), (", no pressure", 0.0)):
                 with suppress(ValueError):  # no such disc has this dimple
                     modulus = disc_modulus(self.force, *dimple, pressure=pressure, **settings)
-                    found[f"disc, {law}{end}"] = modulus
+                    found[f"disc, {law}{suffix}"] = modulus
             if radius is not None:
-                with suppress(ValueError):  # nor has a capsule
+                with suppress(ValueError):  # no such capsule has this dimple
                     capsule = capsule_modulus(self.force, *dimple, radius=radius, **settings)
                     found[f"capsule, {law}"] = capsule.modulus
         return found
 
     @property
     def model_interval(self) -> tuple[float, float]:
-        """From the least to the largest by any model, widened as `interval` is, in MPa or µN.
+        """Range of the quantity found over all models, widened as `interval` is, in MPa or µN.
 
-        The modulus is the only stress that is given, so that in every model the force of a dimple
-        grows with it: a model by which the egg would be half as stiff has twice the force.
+        The force of a dimple is proportional to the modulus in every model. A model with half the
+        modulus for a given force has therefore twice the force for a given modulus.
         """
         moduli = np.array([self.modulus, *self.model_moduli.values()])
         values = moduli if self.found == "modulus" else self.force * self.modulus / moduli
-        return _around(float(values.min()), float(values.max()), self.relative_std)
+        return _interval(float(values.min()), float(values.max()), self.relative_std)
 
 
 def modulus_from_image(
@@ -173,40 +173,40 @@ def modulus_from_image(
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey or color image; the probe comes from one of its edges onto the embryo.
+        Grey or color image of an embryo under a probe that enters through one edge of the image.
     force : float
         Force F of the probe, in µN.
     pixel_size : float
-        Pixel in the object plane, in µm.
+        Size of a pixel in the object plane, in µm.
     thickness, probe_half_width, poisson_ratio : float
         As for `microlib.membrane.elastic_modulus`.
     method : {"membrane", "capsule"}
-        ``"membrane"`` fits the profile (4.2) to the dimple, see `microlib.embryo.fit_dimple`, and
-        takes the modulus of (4.7). ``"capsule"`` fits a closed neo-Hookean capsule to the whole
-        outline, and its direction and radius, see `microlib.membrane.fit_capsule`; it takes seconds
-        and needs an outline that reaches the egg's widest part.
+        ``"membrane"`` fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus
+        by (4.7). ``"capsule"`` fits a closed neo-Hookean capsule, its direction and its radius to
+        the whole outline (`microlib.membrane.fit_capsule`). It takes seconds, and the outline must
+        contain the widest part of the egg.
     direction
-        Edge that the probe comes from; see `microlib.embryo.extract_boundary`.
+        Edge that the probe comes from, as for `extract_boundary`.
 
     Returns
     -------
     ImageEstimate
-        The `modulus`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it
-        was computed from; with the `misfit` of outline and model, and what other models make of the
-        same dimple in `model_moduli` and `model_interval`.
+        The `modulus` with its `relative_std` and `interval`, the `dimple` and the `boundary`, and
+        the moduli of other models.
 
     Raises
     ------
     ValueError
-        If an argument is out of range or the image does not show what is needed; see
-        `microlib.embryo.extract_boundary` and `microlib.embryo.fit_dimple`.
+        If an argument is out of range, or the image does not show what `extract_boundary` and
+        `fit_dimple` need.
 
     Warns
     -----
     SmallSlopeWarning
-        If the dimple is too steep for the point-load model, whose formula is used all the same.
+        If the dimple is too deep for the small slopes of the point-load model.
     UserWarning
-        If the modulus is that of no membrane, as `microlib.membrane.elastic_modulus` does.
+        As for `microlib.membrane.elastic_modulus`, if the modulus is outside the range of
+        membranes.
 
     Examples
     --------
@@ -223,17 +223,24 @@ def modulus_from_image(
     """
     load = measured("force", force, "µN")
     one_of("method", method, ("membrane", "capsule"))
-    size = measured("pixel_size", pixel_size, "µm/px")
-    given = _given_lengths(thickness, probe_half_width, poisson_ratio)
+    size, given = _check_sizes(pixel_size, thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image, direction=direction)
-    if method != "capsule":
-        return _estimate("modulus", load, boundary, size, given)
-    refuse_another_width(boundary, given["probe_half_width"] / size, size)
-    points = size * _seen_from_the_probe(boundary)
+    if method == "membrane":
+        return _point_load_estimate("modulus", load, boundary, size, given)
+    check_probe_width(boundary, given["probe_half_width"] / size, size)
+    points = size * _points_along_probe(boundary)
     capsule = fit_capsule(load, points, fit_tilt=True, **given)
-    std, found = np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD), capsule.modulus
-    around = _around(found, found, float(std))
-    return ImageEstimate(load, found, "modulus", float(std), around, capsule, boundary, given)
+    std = float(np.hypot(capsule.modulus_std / capsule.modulus, _OUTLINE_STD))
+    return ImageEstimate(
+        force=load,
+        modulus=capsule.modulus,
+        found="modulus",
+        relative_std=std,
+        interval=_interval(capsule.modulus, capsule.modulus, std),
+        dimple=capsule,
+        boundary=boundary,
+        given=given,
+    )
 
 
 def force_from_image(
@@ -260,8 +267,8 @@ def force_from_image(
     Returns
     -------
     ImageEstimate
-        The `force`, its `relative_std` and `interval`, and the `dimple` and `boundary` that it was
-        computed from; with what other models make of the same dimple in `model_interval`.
+        The `force` with its `relative_std` and `interval`, the `dimple` and the `boundary`, and the
+        moduli of other models.
 
     Raises
     ------
@@ -287,23 +294,23 @@ def force_from_image(
     True
     """
     stiffness = measured("modulus", modulus, "MPa")
-    size = measured("pixel_size", pixel_size, "µm/px")
-    given = _given_lengths(thickness, probe_half_width, poisson_ratio)
+    size, given = _check_sizes(pixel_size, thickness, probe_half_width, poisson_ratio)
     boundary = extract_boundary(image, direction=direction)
-    return _estimate("force", stiffness, boundary, size, given)
+    return _point_load_estimate("force", stiffness, boundary, size, given)
 
 
-def _given_lengths(
-    thickness: float, probe_half_width: float, poisson_ratio: float
-) -> dict[str, Any]:
-    return {
+def _check_sizes(
+    pixel_size: float, thickness: float, probe_half_width: float, poisson_ratio: float
+) -> tuple[float, dict[str, Any]]:
+    """Return the checked size of a pixel, and the other sizes by name."""
+    return measured("pixel_size", pixel_size, "µm/px"), {
         "thickness": measured("thickness", thickness, "µm"),
         "probe_half_width": measured("probe_half_width", probe_half_width, "µm"),
         "poisson_ratio": poisson(poisson_ratio),
     }
 
 
-def _estimate(
+def _point_load_estimate(
     found: str, known: float, boundary: Boundary, size: float, given: dict[str, Any]
 ) -> ImageEstimate:
     """Return the modulus of a known force, or the force of a known modulus, by (4.7)."""
@@ -318,40 +325,48 @@ def _estimate(
     sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
     inputs = given | sizes
     value = float((elastic_modulus if found == "modulus" else indentation_force)(known, **inputs))
-    # E is F times a function of the dimple, whose error moves ln E and ln F by as much.
     force, modulus = (known, value) if found == "modulus" else (value, known)
+    # E is F times a function of the dimple, so that ln E and ln F have the same error.
     std = modulus_std({"force": force, **inputs}, {}, dimple_covariance=dimple.covariance) / modulus
-    around = _around(value, value, std)
-    return ImageEstimate(force, modulus, found, std, around, dimple, boundary, given)
+    return ImageEstimate(
+        force=force,
+        modulus=modulus,
+        found=found,
+        relative_std=std,
+        interval=_interval(value, value, std),
+        dimple=dimple,
+        boundary=boundary,
+        given=given,
+    )
 
 
-def _around(least: float, largest: float, std: float) -> tuple[float, float]:
-    """Return an interval of a positive quantity, widened by 95 % of its logarithm's deviation."""
+def _interval(least: float, largest: float, std: float) -> tuple[float, float]:
+    """Return a range widened by the 95 % interval of a logarithm of this standard deviation."""
     factor = float(np.exp(NORMAL_95 * std))
     return least / factor, largest * factor
 
 
-def _seen_from_the_probe(boundary: Boundary) -> Array:
-    """Return the outline's points in px across and up along the probe, from its end, (n, 2)."""
-    probe, seen = boundary.probe, ~boundary.under_probe
-    right = boundary.x[seen] - probe.tip[0]
-    up = boundary.y[seen] - (boundary.image_height - 1 - probe.tip[1])
-    long = np.hypot(1.0, probe.slope)
-    return np.stack([right + probe.slope * up, up - probe.slope * right], axis=1) / long
+def _points_along_probe(boundary: Boundary) -> Array:
+    """Return the visible outline across and along the probe, from its end, (n, 2) px."""
+    probe, visible = boundary.probe, ~boundary.under_probe
+    right = boundary.x[visible] - probe.tip[0]
+    up = boundary.y[visible] - (boundary.image_height - 1 - probe.tip[1])
+    rotated = np.stack([right + probe.slope * up, up - probe.slope * right], axis=1)
+    return rotated / np.hypot(1.0, probe.slope)
 
 
 def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
-    """Return the radius in µm of the sphere that has the outline's ends, or None if they are flat.
+    """Return the radius of the sphere with the ends of the outline, µm, or None if they are flat.
 
-    A pressed capsule is about as wide as the sphere was: its equator grows by 2 % under the largest
-    loads, and less than its wall's turn to the vertical is uncertain.
+    The radius of a pressed capsule is nearly that of the sphere: its equator grows by at most 2 %,
+    which is less than the uncertainty of the directions of the ends.
     """
     points = np.stack([boundary.x, boundary.y])
-    ends = np.stack([points[:, :SHORTEST_SIDE], points[:, -SHORTEST_SIDE:]])
+    ends = np.stack([points[:, :MIN_SIDE], points[:, -MIN_SIDE:]])
     middle = ends.mean(axis=-1, keepdims=True)
-    # The sine of their direction, which is that of most of their extent.
-    fall = np.abs(np.linalg.svd(ends - middle, full_matrices=False)[0][:, 1, 0])
-    # Of 60°, at which a degree is 1 % of the radius.
-    if fall.min() < np.sqrt(3 / 4):
+    # The sine of the direction of each end, which is its first principal axis.
+    sine = np.abs(np.linalg.svd(ends - middle, full_matrices=False)[0][:, 1, 0])
+    # At 60°, an error of one degree changes the radius by 1 %.
+    if sine.min() < np.sqrt(3 / 4):
         return None
-    return pixel_size * float(np.ptp(middle[:, 0]) / fall.sum())
+    return pixel_size * float(np.ptp(middle[:, 0]) / sine.sum())

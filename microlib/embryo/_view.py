@@ -1,4 +1,4 @@
-"""An image turned so that the probe comes from above."""
+"""Rotation of an image that brings the probe to the upper edge."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DIRECTIONS = {"top": 0, "bottom": 2, "left": 3, "right": 1}
 
 @dataclass(frozen=True)
 class View(Tidy):
-    """How an image was turned.
+    """Rotation of an image by quarter turns and a tilt.
 
     Attributes
     ----------
@@ -25,11 +25,11 @@ class View(Tidy):
     direction : str
         Edge of the image that the probe comes from.
     tilt : float
-        Angle by which the image is turned clockwise after that, about its middle, in radians; 0
-        where the probe is within 4° of upright.
+        Angle of a further clockwise rotation about the middle of the image, in radians; 0 if the
+        probe is within 4° of the vertical.
     frame : tuple of int
-        Of the image turned by `tilt` what is kept: x and y of the first pixel from the place that
-        the image's own had before, width and height, in px; all zero without a tilt.
+        Part of the tilted image that is kept: x and y of its first pixel, relative to the first
+        pixel before the tilt, width and height, in px. All zero without a tilt.
     """
 
     size: tuple[int, int]
@@ -38,15 +38,15 @@ class View(Tidy):
     frame: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def upright(self, slope: float, entry: Array) -> View:
-        """Return the view in which a probe is upright that leans.
+        """Return the view in which a leaning probe is vertical.
 
         Parameters
         ----------
         slope : float
             Change of the probe's x for each px down.
         entry : ndarray, shape (n, 2)
-            Points (x, y) of this view below which the whole width of the probe is inside the image.
-            The new view begins there.
+            Points (x, y) of this view below which the whole width of the probe is in the image. The
+            new view begins there.
         """
         tilted = replace(self, tilt=float(np.arctan(slope)))
         width, height = self.size
@@ -56,29 +56,29 @@ class View(Tidy):
         left, right, last = int(np.floor(x.min())), int(np.ceil(x.max())), int(np.ceil(y.max()))
         return replace(tilted, frame=(left, first, right - left, last - first))
 
-    def of(self, image: NDArray) -> NDArray:
-        """Return the image, turned; a tilt continues it beyond its edges."""
+    def rotate(self, image: NDArray) -> NDArray:
+        """Return the rotated image; a tilt replicates its borders."""
         if self.tilt == 0:
             return np.rot90(image, DIRECTIONS[self.direction])
         size, flags, border = self.frame[2:], cv2.INTER_CUBIC, cv2.BORDER_REPLICATE
         return np.asarray(cv2.warpAffine(image, self._matrix, size, flags=flags, borderMode=border))
 
     def to_image(self, points: Array) -> Array:
-        """Return points (x, y) of the turned image, y down, as points of the image, in px."""
-        # The inverse of a turn.
+        """Return the points of the image that are points (x, y) of the rotated image, in px."""
+        # The inverse of a rotation is its transpose.
         return np.asarray((points - self._matrix[:, 2]) @ self._matrix[:, :2])
 
     def from_image(self, points: Array) -> Array:
-        """Return points (x, y) of the image as points of the turned one, in px."""
+        """Return the points of the rotated image that are points (x, y) of the image, in px."""
         return np.asarray(points @ self._matrix[:, :2].T + self._matrix[:, 2])
 
     @property
     def _matrix(self) -> Array:
-        """Affine map from the image to what is kept of it, turned, (2, 3)."""
+        """Affine map from the image to the rotated image, (2, 3)."""
         size = np.array(self.size, float)
         turns = DIRECTIONS[self.direction]
         angle = np.rad2deg(np.pi / 2 * turns - self.tilt)
         matrix = cv2.getRotationMatrix2D(((size - 1) / 2).tolist(), angle, 1.0)
-        # The middle of the image becomes that of the image after the quarter turns.
+        # Quarter turns exchange width and height, and with them the middle of the image.
         matrix[:, 2] += (size[::-1] - size) / 2 * (turns % 2) - self.frame[:2]
         return np.asarray(matrix)

@@ -13,7 +13,7 @@ IMAGE = np.arange(7.0 * 9).reshape(7, 9)
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_points_of_a_turned_image_are_pixels_of_the_image(direction: str) -> None:
     view = View((9, 7), direction)
-    part = view.of(IMAGE)
+    part = view.rotate(IMAGE)
     rows, columns = np.indices(part.shape)
     points = view.to_image(np.column_stack([columns.ravel(), rows.ravel()]))
     x, y = np.rint(points).astype(int).T
@@ -26,7 +26,7 @@ def test_the_edge_that_is_named_is_the_upper_one() -> None:
     }  # fmt: skip
     assert set(edges) == set(DIRECTIONS)
     for direction, edge in edges.items():
-        np.testing.assert_array_equal(View((9, 7), direction).of(IMAGE)[0], edge)
+        np.testing.assert_array_equal(View((9, 7), direction).rotate(IMAGE)[0], edge)
 
 
 @pytest.mark.parametrize("direction", ["top", "right", "bottom", "left"])
@@ -36,7 +36,7 @@ def test_points_of_a_leaning_image_are_found_again(direction):
     view = View((210, 150), direction).upright(0.3, np.array([[60.0, 4.0], [75.0, 4.0]]))
     place = np.array([92.0, 71.0])
     image = np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * 4.0**2)).astype(np.float32)
-    part = view.of(image)
+    part = view.rotate(image)
     assert part.shape == view.frame[:1:-1]
     rows, columns = np.indices(part.shape)
     found = np.array([(columns * part).sum(), (rows * part).sum()]) / part.sum()

@@ -30,7 +30,7 @@ def test_exact_profiles_give_the_exact_place(shifts, width, step):
     found = locate_wall(profiles, D, weights=np.ones_like(profiles))
     # A third of what noise of 2/255 moves a point by.
     np.testing.assert_allclose(found.position, shifts, atol=0.02)
-    assert found.width == pytest.approx(width, abs=0.02)
+    assert found.blur == pytest.approx(width, abs=0.02)
 
 
 def test_agrees_with_curve_fit_and_states_its_spread():
@@ -47,7 +47,7 @@ def test_agrees_with_curve_fit_and_states_its_spread():
     for k in range(5):
         start = [0.0, 190.0, -27.0, -35.0]
         fit, _ = curve_fit(
-            lambda x, *p: wall(x, *p, found.width), d, profiles[k], p0=start, xtol=1e-12
+            lambda x, *p: wall(x, *p, found.blur), d, profiles[k], p0=start, xtol=1e-12
         )
         assert found.position[k] == pytest.approx(fit[0], abs=1e-4)
 
@@ -79,7 +79,7 @@ def test_a_wall_is_sought_within_its_reach_and_its_range_of_blur():
         exact = np.array([wall(d, s, 190.0, -27.0, -35.0, width) for s in (-2.4, 0.0, 2.4)])
         found = locate_wall(exact, d, weights=np.ones_like(exact))
         np.testing.assert_allclose(found.position, [-2.4, 0.0, 2.4], atol=0.02)
-        assert found.width == pytest.approx(width, abs=0.02)
+        assert found.blur == pytest.approx(width, abs=0.02)
     far = np.array([wall(d, s, 190.0, -27.0, -35.0, 1.1) for s in (-2.6, 0.0, 2.6)])
     found = locate_wall(far, d, weights=np.ones_like(far))
     assert np.isfinite(found.position).tolist() == [False, True, False]
