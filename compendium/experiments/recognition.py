@@ -1,0 +1,259 @@
+"""Beyond the thesis: parts recognized by the surface types of their heights from focus.
+
+The renderer shares no formula with `depth_from_focus`: the blur is a disc, and a part hides the
+ground behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial.distance import cdist
+from scipy.stats import binomtest
+from skimage.measure import label as connected
+
+from microlib.curvature import HK_NAMES, clean_labels, hk_labels, surface_curvature
+from microlib.focus import correct_spikes, depth_from_focus
+from microlib.synthetic import mixed_texture
+
+SIDE, PIXEL = 96, 4.0  # of a frame, px, and of a pixel, µm
+RADIUS = 26 * PIXEL  # of a part at scale 1, µm: the unit of the lengths in `PARTS`
+POSITIONS = np.arange(-60.0, 301.0, 20.0)  # of the frames, µm
+#: Radius of the blur's disc: in focus, px, and what each µm out of focus adds; and the radii in px
+#: between which it is interpolated. Beyond the last the texture is gone.
+SHARPEST, BLUR_RATE = 0.7, 0.06
+RADII = np.array([SHARPEST, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0])
+WINDOW, SMALLEST = 11, 20  # of the curvature, px, and the smallest region that is kept, px
+TYPES = tuple(kind for kind in HK_NAMES if kind != 4)  # no surface has the fourth
+PAIRS = tuple(combinations(TYPES, 2))
+#: Features in each group of a description.
+GROUPS = {"share": len(TYPES), "regions": len(TYPES), "border": len(PAIRS), "curvature": len(TYPES)}
+
+
+#: Height above the ground at (u, v) on it, all in units of the part's radius.
+Part = Callable[[NDArray, NDArray], NDArray]
+
+
+def _inside(part: NDArray, height: NDArray | float) -> NDArray:
+    return np.where(part, height, 0.0)
+
+
+PARTS: dict[str, Part] = {
+    "solder ball": lambda u, v: _inside(
+        u**2 + v**2 < 1, 1 + np.sqrt(np.maximum(1 - u**2 - v**2, 0))
+    ),
+    "parabolic ridge": lambda u, v: np.maximum(0.9 - v**2 / 0.9, 0) + 0 * u,
+    "gripper jaw": lambda u, v: _inside(
+        (u < 0.9) & (np.abs(v) < 0.6 - 0.25 * np.maximum(u, -0.4)), 0.8
+    ),
+    "cone": lambda u, v: np.maximum(1.2 - 1.2 * np.hypot(u, v), 0),
+    "saddle": lambda u, v: _inside(np.maximum(abs(u), abs(v)) < 1, 0.9 + 0.5 * (u**2 - v**2)),
+    "step": lambda u, v: _inside(u > 0 * v, 0.9),
+    "cylinder end": lambda u, v: _inside(u < 0.5, np.sqrt(np.maximum(0.81 - v**2, 0))),
+    "dimpled plate": lambda u, v: _inside(
+        np.maximum(abs(u), abs(v)) < 1.25, 0.9 - np.maximum(0.5 - 0.89 * (u**2 + v**2), 0)
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How a part lies: turned about the viewing axis, then tilted towards a direction (radians)."""
+
+    turn: float = 0.0
+    tilt: float = 0.0
+    towards: float = 0.0
+    scale: float = 1.0
+    shift: tuple[float, float] = (0.0, 0.0)  # (x, y), px
+
+
+def random_pose(rng: np.random.Generator) -> Pose:
+    """Return a pose of any turn, a tilt up to 15°, a scale of 0.8 to 1.2, a shift up to 3 px."""
+    turn, towards = rng.uniform(0, 2 * np.pi, 2)
+    tilt = np.deg2rad(15) * np.sqrt(rng.uniform())
+    return Pose(turn, tilt, towards, rng.uniform(0.8, 1.2), tuple(rng.uniform(-3, 3, 2)))
+
+
+def surface(part: Part, pose: Pose) -> tuple[NDArray, NDArray]:
+    """Return heights of a part and of the ground alone, µm, as rays from above meet them."""
+    x, y = (
+        np.mgrid[:SIDE, :SIDE][::-1] - (SIDE - 1) / 2 - np.reshape(pose.shift, (2, 1, 1))
+    ) * PIXEL
+    axis = pose.tilt * np.array([-np.sin(pose.towards), np.cos(pose.towards), 0.0])
+    u, v, normal = (cv2.Rodrigues(axis)[0] @ cv2.Rodrigues(np.array([0, 0, pose.turn]))[0]).T
+    ground = -(normal[0] * x + normal[1] * y) / normal[2]
+    length = RADIUS * pose.scale
+
+    def within(z: NDArray) -> NDArray[np.bool_]:
+        across, along, above = (e[0] * x + e[1] * y + e[2] * z for e in (u, v, normal))
+        return above <= length * part(across / length, along / length)
+
+    pace = 2.2 * length / normal[2] / 44  # a twentieth of the radius, from above every part
+    low = ground.copy()
+    for k in range(44, 0, -1):
+        low = np.where((low == ground) & within(ground + k * pace), ground + k * pace, low)
+    step = np.where(low > ground, pace, 0)
+    for _ in range(10):
+        step = step / 2
+        low = np.where(within(low + step), low + step, low)
+    return low, ground
+
+
+def _disc(radius: float) -> NDArray:
+    """Return a disc of unit sum, its edge drawn eight times finer than a pixel."""
+    side = 2 * int(np.ceil(radius)) + 3
+    place = (np.arange(8 * side) + 0.5) / 8 - side / 2
+    fine = np.add.outer(place**2, place**2) <= radius**2
+    kernel = fine.reshape(side, 8, side, 8).mean(axis=(1, 3))
+    return kernel / kernel.sum()
+
+
+DISCS = [_disc(radius) for radius in RADII]
+
+
+def blur(image: NDArray, height: NDArray) -> NDArray:
+    """Return an image in each frame, each pixel blurred by the disc of its height's defocus."""
+    ladder = np.stack([cv2.filter2D(np.float32(image), -1, disc) for disc in DISCS])
+    radius = np.hypot(SHARPEST, BLUR_RATE * (height - POSITIONS[:, None, None]))
+    place = np.interp(radius, RADII, np.arange(len(RADII)))
+    lower = np.minimum(place.astype(int), len(RADII) - 2)
+    rows, cols = np.indices(image.shape)
+    steps = ladder[lower + 1, rows, cols] - ladder[lower, rows, cols]
+    return ladder[lower, rows, cols] + (place - lower) * steps
+
+
+def render(part: Part, pose: Pose, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+    """Return a part's true heights, µm, and its focal stack without noise, grey levels."""
+    height, ground = surface(part, pose)
+    body = height > ground
+    nearest = distance_transform_edt(~body, return_distances=False, return_indices=True)
+    beyond = height[tuple(nearest)]  # the part's edge, blurred over the ground, keeps its height
+    below, above = (mixed_texture((SIDE, SIDE), rng) for _ in range(2))
+    cover = blur(body, beyond)
+    return height, blur(below, ground) * (1 - cover) + blur(above * body, beyond)
+
+
+def reconstruct(clean: NDArray, noise: float, rng: np.random.Generator) -> tuple[NDArray, float]:
+    """Return heights from frames with noise (grey levels), and the median of their stated errors."""
+    frames = np.clip(np.rint(clean + noise * rng.standard_normal(clean.shape)), 0, 255)
+    found = depth_from_focus(frames.astype(np.uint8), POSITIONS, workers=1)
+    return found.depth, float(np.nanmedian(found.uncertainty))
+
+
+def blots(share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return blots that cover a share of the frame, of about 10 px."""
+    relief = gaussian_filter(rng.standard_normal((SIDE, SIDE)), 4, mode="wrap")
+    return relief > np.quantile(relief, 1 - share)
+
+
+def level(height: NDArray) -> NDArray:
+    """Return heights above their best plane."""
+    y, x = np.indices(height.shape)
+    terms, known = np.stack([np.ones(x.shape), x, y], axis=-1), np.isfinite(height)
+    return height - terms @ np.linalg.lstsq(terms[known], height[known], rcond=None)[0]
+
+
+def fill(height: NDArray) -> NDArray:
+    """Give unknown heights the median of the known ones in 9 × 9 px, and keep the others."""
+    return np.where(np.isnan(height), correct_spikes(height), height)
+
+
+def surface_types(
+    height: NDArray, pixel_size: float, noise: float, *, size: int = WINDOW
+) -> tuple[NDArray[np.uint8], NDArray]:
+    """Return surface types by thresholds from the noise, and H times the size of the part.
+
+    The size is the standard deviation of the heights from their best plane, as the pixels are.
+    """
+    curvature = surface_curvature(height, pixel_size, size=size, noise=noise)
+    labels = clean_labels(hk_labels(curvature), SMALLEST)
+    return labels, curvature.mean * np.nanstd(level(height))
+
+
+def describe(labels: NDArray[np.uint8], mean: NDArray) -> NDArray:
+    """Return the features of `GROUPS`, which do not change when the map is turned or mirrored.
+
+    Parameters
+    ----------
+    labels, mean : ndarray, shape (rows, cols)
+        From `surface_types`, or a part of them.
+
+    Returns
+    -------
+    ndarray, shape (52,)
+        For each surface type its share of the known pixels; the logarithm of one more than its
+        regions; for each pair of types its share of the borders between types; and for each type
+        the mean of H on it, times its share.
+    """
+    known = max(np.count_nonzero(labels), 1)
+    areas = [labels == kind for kind in TYPES]
+    regions = [connected(area, connectivity=1).max() for area in areas]
+    borders = np.zeros((10, 10))
+    for one, other in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1])):
+        np.add.at(borders, (np.minimum(one, other), np.maximum(one, other)), 1)
+    touching = np.array([borders[pair] for pair in PAIRS])
+    return np.concatenate(
+        [
+            [area.sum() / known for area in areas],
+            np.log1p(regions),
+            touching / max(touching.sum(), 1),
+            [mean[area].sum() / known for area in areas],
+        ]
+    )
+
+
+def describe_part(height: NDArray, pixel_size: float, noise: float) -> NDArray:
+    """Return the features of a height map, µm, whose unknown heights are filled in first."""
+    return describe(*surface_types(fill(height), pixel_size, noise))
+
+
+def height_quantiles(height: NDArray) -> NDArray:
+    """Return 16 quantiles of the heights from their best plane, µm: all that a histogram has."""
+    return np.nanquantile(level(fill(height)), (np.arange(16) + 0.5) / 16)
+
+
+def recognize(
+    features: NDArray, training: NDArray, names: NDArray, groups: Sequence[int] | None = None
+) -> pd.DataFrame:
+    """Return the name of each row's nearest neighbor, and whether the row is like the training.
+
+    Parameters
+    ----------
+    features, training : ndarray, shapes (n, m) and (k, m)
+        What is to be named, and what has a name. Each group is scaled to a variance of 1.
+    names : ndarray of str, shape (k,)
+        Names of the training.
+    groups : sequence of int, optional
+        Features in each group; those of `GROUPS` by default.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``name``, ``distance``, and ``sure``: the nearest neighbor is no farther than 95 % of the
+        training's are from others of their name, and nearer than 0.8 of the next name's.
+    """
+    variances = np.split(training.var(axis=0), np.cumsum(groups or list(GROUPS.values()))[:-1])
+    scale = np.concatenate([np.full(len(each), each.sum() or 1.0) for each in variances]) ** -0.5
+    among = cdist(training * scale, training * scale)
+    alike = names[:, None] == names
+    np.fill_diagonal(among, np.inf)
+    usual = np.quantile(np.where(alike, among, np.inf).min(axis=1), 0.95)
+    distances = cdist(features * scale, training * scale)
+    name, distance = names[distances.argmin(axis=1)], distances.min(axis=1)
+    next_name = np.where(name[:, None] == names, np.inf, distances).min(axis=1)
+    sure = (distance <= usual) & (distance < 0.8 * next_name)
+    return pd.DataFrame({"name": name, "distance": distance, "sure": sure})
+
+
+def wilson(right: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return a share in per cent and the ends of its 95 % interval by Wilson."""
+    result = binomtest(int(np.sum(right)), len(right))
+    low, high = result.proportion_ci(method="wilson")
+    return 100 * result.statistic, 100 * low, 100 * high
