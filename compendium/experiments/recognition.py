@@ -14,21 +14,21 @@ import cv2
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 from scipy.stats import binomtest
 from skimage.measure import label as connected
 
-from microlib.curvature import HK_NAMES, clean_labels, hk_labels, surface_curvature
+from microlib.curvature import HK_NAMES, hk_labels, surface_curvature
 from microlib.focus import correct_spikes, depth_from_focus
 from microlib.synthetic import mixed_texture
 
 SIDE, PIXEL = 96, 4.0  # of a frame, px, and of a pixel, µm
 RADIUS = 26 * PIXEL  # of a part at scale 1, µm: the unit of the lengths in `PARTS`
-POSITIONS = np.arange(-60.0, 301.0, 20.0)  # of the frames, µm
+POSITIONS = np.arange(-60.0, 301.0, 24.0)  # of the frames, µm
 #: Radius of the blur's disc: in focus, px, and what each µm out of focus adds; and the radii in px
 #: between which it is interpolated. Beyond the last the texture is gone.
-SHARPEST, BLUR_RATE = 0.7, 0.06
+SHARPEST, BLUR_RATE = 0.7, 0.05
 RADII = np.array([SHARPEST, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0])
 WINDOW, SMALLEST = 11, 20  # of the curvature, px, and the smallest region that is kept, px
 TYPES = tuple(kind for kind in HK_NAMES if kind != 4)  # no surface has the fourth
@@ -37,30 +37,24 @@ PAIRS = tuple(combinations(TYPES, 2))
 GROUPS = {"share": len(TYPES), "regions": len(TYPES), "border": len(PAIRS), "curvature": len(TYPES)}
 
 
-#: Height above the ground at (u, v) on it, all in units of the part's radius.
 Part = Callable[[NDArray, NDArray], NDArray]
-
-
-def _inside(part: NDArray, height: NDArray | float) -> NDArray:
-    return np.where(part, height, 0.0)
-
-
+#: Height above the ground at (u, v) on it, all in units of the part's radius.
 PARTS: dict[str, Part] = {
-    "solder ball": lambda u, v: _inside(
-        u**2 + v**2 < 1, 1 + np.sqrt(np.maximum(1 - u**2 - v**2, 0))
-    ),
-    "parabolic ridge": lambda u, v: np.maximum(0.9 - v**2 / 0.9, 0) + 0 * u,
-    "gripper jaw": lambda u, v: _inside(
-        (u < 0.9) & (np.abs(v) < 0.6 - 0.25 * np.maximum(u, -0.4)), 0.8
-    ),
+    "solder ball": lambda u, v: (np.hypot(u, v) < 1) * (1 + _root(1 - u**2 - v**2)),
+    "parabolic ridge": lambda u, v: np.maximum(0.9 - v**2 / 0.9, 0),
+    "gripper jaw": lambda u, v: 0.8 * ((u < 0.9) & (abs(v) < 0.6 - 0.25 * np.maximum(u, -0.4))),
     "cone": lambda u, v: np.maximum(1.2 - 1.2 * np.hypot(u, v), 0),
-    "saddle": lambda u, v: _inside(np.maximum(abs(u), abs(v)) < 1, 0.9 + 0.5 * (u**2 - v**2)),
-    "step": lambda u, v: _inside(u > 0 * v, 0.9),
-    "cylinder end": lambda u, v: _inside(u < 0.5, np.sqrt(np.maximum(0.81 - v**2, 0))),
-    "dimpled plate": lambda u, v: _inside(
-        np.maximum(abs(u), abs(v)) < 1.25, 0.9 - np.maximum(0.5 - 0.89 * (u**2 + v**2), 0)
+    "saddle": lambda u, v: (np.maximum(abs(u), abs(v)) < 1) * (0.9 + 0.5 * (u**2 - v**2)),
+    "step": lambda u, v: 0.9 * (u > 0),
+    "cylinder end": lambda u, v: (u < 0.5) * _root(0.81 - v**2),
+    "dimpled plate": lambda u, v: (
+        (np.maximum(abs(u), abs(v)) < 1.25) * np.minimum(0.4 + 0.9 * (u**2 + v**2), 0.9)
     ),
 }
+
+
+def _root(square: NDArray) -> NDArray:
+    return np.sqrt(np.maximum(square, 0))
 
 
 @dataclass(frozen=True)
@@ -83,19 +77,18 @@ def random_pose(rng: np.random.Generator) -> Pose:
 
 def surface(part: Part, pose: Pose) -> tuple[NDArray, NDArray]:
     """Return heights of a part and of the ground alone, µm, as rays from above meet them."""
-    x, y = (
-        np.mgrid[:SIDE, :SIDE][::-1] - (SIDE - 1) / 2 - np.reshape(pose.shift, (2, 1, 1))
-    ) * PIXEL
+    y, x = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
+    x, y = PIXEL * (x - pose.shift[0]), PIXEL * (y - pose.shift[1])
     axis = pose.tilt * np.array([-np.sin(pose.towards), np.cos(pose.towards), 0.0])
     u, v, normal = (cv2.Rodrigues(axis)[0] @ cv2.Rodrigues(np.array([0, 0, pose.turn]))[0]).T
     ground = -(normal[0] * x + normal[1] * y) / normal[2]
-    length = RADIUS * pose.scale
+    radius = RADIUS * pose.scale
 
     def within(z: NDArray) -> NDArray[np.bool_]:
-        across, along, above = (e[0] * x + e[1] * y + e[2] * z for e in (u, v, normal))
-        return above <= length * part(across / length, along / length)
+        across, along, above = ((e[0] * x + e[1] * y + e[2] * z) / radius for e in (u, v, normal))
+        return above <= part(across, along)
 
-    pace = 2.2 * length / normal[2] / 44  # a twentieth of the radius, from above every part
+    pace = 0.05 * radius / normal[2]  # 44 of them begin above every part
     low = ground.copy()
     for k in range(44, 0, -1):
         low = np.where((low == ground) & within(ground + k * pace), ground + k * pace, low)
@@ -120,7 +113,7 @@ DISCS = [_disc(radius) for radius in RADII]
 
 def blur(image: NDArray, height: NDArray) -> NDArray:
     """Return an image in each frame, each pixel blurred by the disc of its height's defocus."""
-    ladder = np.stack([cv2.filter2D(np.float32(image), -1, disc) for disc in DISCS])
+    ladder = np.stack([cv2.filter2D(image.astype(np.float32), -1, disc) for disc in DISCS])
     radius = np.hypot(SHARPEST, BLUR_RATE * (height - POSITIONS[:, None, None]))
     place = np.interp(radius, RADII, np.arange(len(RADII)))
     lower = np.minimum(place.astype(int), len(RADII) - 2)
@@ -141,16 +134,10 @@ def render(part: Part, pose: Pose, rng: np.random.Generator) -> tuple[NDArray, N
 
 
 def reconstruct(clean: NDArray, noise: float, rng: np.random.Generator) -> tuple[NDArray, float]:
-    """Return heights from frames with noise (grey levels), and the median of their stated errors."""
+    """Return heights from frames with noise, and the median of their stated errors, µm."""
     frames = np.clip(np.rint(clean + noise * rng.standard_normal(clean.shape)), 0, 255)
     found = depth_from_focus(frames.astype(np.uint8), POSITIONS, workers=1)
     return found.depth, float(np.nanmedian(found.uncertainty))
-
-
-def blots(share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return blots that cover a share of the frame, of about 10 px."""
-    relief = gaussian_filter(rng.standard_normal((SIDE, SIDE)), 4, mode="wrap")
-    return relief > np.quantile(relief, 1 - share)
 
 
 def level(height: NDArray) -> NDArray:
@@ -166,14 +153,17 @@ def fill(height: NDArray) -> NDArray:
 
 
 def surface_types(
-    height: NDArray, pixel_size: float, noise: float, *, size: int = WINDOW
+    height: NDArray, noise: float, pixel_size: float = PIXEL, *, size: int = WINDOW
 ) -> tuple[NDArray[np.uint8], NDArray]:
     """Return surface types by thresholds from the noise, and H times the size of the part.
 
-    The size is the standard deviation of the heights from their best plane, as the pixels are.
+    The size is the standard deviation of the heights from their best plane. Regions below
+    `SMALLEST` have the type 0, as unknown pixels do.
     """
     curvature = surface_curvature(height, pixel_size, size=size, noise=noise)
-    labels = clean_labels(hk_labels(curvature), SMALLEST)
+    labels = hk_labels(curvature)
+    regions = connected(labels, background=0, connectivity=1)
+    labels[np.bincount(regions.ravel())[regions] < SMALLEST] = 0
     return labels, curvature.mean * np.nanstd(level(height))
 
 
@@ -209,9 +199,9 @@ def describe(labels: NDArray[np.uint8], mean: NDArray) -> NDArray:
     )
 
 
-def describe_part(height: NDArray, pixel_size: float, noise: float) -> NDArray:
+def describe_part(height: NDArray, noise: float, pixel_size: float = PIXEL) -> NDArray:
     """Return the features of a height map, µm, whose unknown heights are filled in first."""
-    return describe(*surface_types(fill(height), pixel_size, noise))
+    return describe(*surface_types(fill(height), noise, pixel_size))
 
 
 def height_quantiles(height: NDArray) -> NDArray:

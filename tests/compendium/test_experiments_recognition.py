@@ -1,0 +1,132 @@
+"""Parts are rendered as geometry has them, described alike from every side, and told apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compendium.experiments import recognition
+from compendium.experiments.recognition import PARTS, PIXEL, RADIUS, Pose
+from microlib.curvature import surface_curvature
+
+POSES = {"flat": Pose(), "tilted": Pose(turn=0.4, tilt=0.25, towards=1.1, scale=1.1, shift=(2, -1))}
+
+
+@pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
+def test_a_ball_has_its_curvature_and_height_in_every_pose(pose: Pose) -> None:
+    height, _ = recognition.surface(PARTS["solder ball"], pose)
+    radius = RADIUS * pose.scale
+    # The middle of the ball is one radius above the ground, along its normal.
+    lean = np.array([np.cos(pose.towards), np.sin(pose.towards)])
+    middle = radius * np.array([*(np.sin(pose.tilt) * lean), np.cos(pose.tilt)])
+    y, x = np.indices(height.shape) - (recognition.SIDE - 1) / 2
+    away = (PIXEL * (x - pose.shift[0]) - middle[0]) ** 2 + (
+        PIXEL * (y - pose.shift[1]) - middle[1]
+    ) ** 2
+    on = away < (0.6 * radius) ** 2
+    # The rays stop 0.05 / 2¹⁰ of the radius above the surface.
+    np.testing.assert_allclose(
+        height[on], (middle[2] + np.sqrt(np.maximum(radius**2 - away, 0)))[on], atol=0.01
+    )
+    bend = surface_curvature(height, PIXEL, size=7)
+    top = away < (0.3 * radius) ** 2
+    # Windows of 13 px smooth the ball, which is curved the more the steeper it is: by 4 %.
+    np.testing.assert_allclose(bend.mean[top], -1 / radius, rtol=0.06)
+
+
+def test_the_ground_is_a_plane_of_the_tilt() -> None:
+    _, ground = recognition.surface(PARTS["cone"], POSES["tilted"])
+    slope_y, slope_x = np.gradient(ground, PIXEL)
+    np.testing.assert_allclose(np.hypot(slope_x, slope_y), np.tan(0.25), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.arctan2(-slope_y, -slope_x),
+        np.arctan2(*(-np.array([np.sin(1.1), np.cos(1.1)]))) + np.pi,
+        rtol=1e-9,
+    )
+
+
+def test_frames_are_sharp_at_their_position_and_blurred_by_a_disc() -> None:
+    point = np.zeros((recognition.SIDE,) * 2)
+    point[48, 48] = 1.0
+    frames = recognition.blur(point, np.full(point.shape, 100.0))
+    y, x = np.indices(point.shape) - 48
+    second = (frames * (x**2 + y**2)).sum(axis=(1, 2))
+    # A disc has the mean square distance r²/2, and a square pixel adds 1/6; between two radii the
+    # images are interpolated, which adds up to 3 %.
+    radius = np.hypot(0.7, 0.05 * (100.0 - recognition.POSITIONS))
+    near = radius < recognition.RADII[-1]
+    np.testing.assert_allclose(frames.sum(axis=(1, 2)), 1, atol=1e-5)
+    np.testing.assert_allclose(second[near], radius[near] ** 2 / 2 + 1 / 6, rtol=0.035, atol=0.1)
+
+
+def test_a_part_hides_the_ground_behind_it() -> None:
+    """The frame in focus on a step's top shows its texture up to the edge, without ground."""
+    rng = np.random.default_rng(3)
+    height, clean = recognition.render(PARTS["step"], Pose(), rng)
+    assert np.unique(height.round(3)).tolist() == pytest.approx([0, 0.9 * RADIUS], abs=0.01)
+    depth, error = recognition.reconstruct(clean, 2.0, rng)
+    inner = np.ones(height.shape, bool)
+    inner[:, 40:56] = False
+    assert np.nanmedian(np.abs(depth - height)[inner]) < 2 * error < 4.0
+
+
+def test_a_description_does_not_change_when_the_map_is_turned_or_mirrored() -> None:
+    rng = np.random.default_rng(4)
+    height = recognition.surface(PARTS["gripper jaw"], POSES["tilted"])[0]
+    height = height + rng.normal(0, 1.0, height.shape)
+    height[10:14, 60:63] = np.nan
+    found = recognition.describe_part(height, 1.0, PIXEL)
+    assert len(found) == sum(recognition.GROUPS.values())
+    for other in (np.rot90(height), np.rot90(height, 2), height[::-1], height.T):
+        # Rounding may move a pixel across a threshold: 1 of 5000.
+        np.testing.assert_allclose(recognition.describe_part(other, 1.0, PIXEL), found, atol=2e-3)
+
+
+def test_a_description_does_not_depend_on_the_unit_of_length() -> None:
+    height = recognition.surface(PARTS["saddle"], POSES["tilted"])[0]
+    height = height + np.random.default_rng(4).normal(0, 1.0, height.shape)
+    found = recognition.describe_part(height, 1.0, PIXEL)
+    np.testing.assert_allclose(
+        recognition.describe_part(3 * height, 3.0, 3 * PIXEL), found, atol=2e-3
+    )
+
+
+def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map() -> None:
+    labels = np.full((6, 9), 5, np.uint8)
+    labels[:2, :3] = labels[4:, 6:] = 1  # two regions of 6 px, each with 5 px of border
+    labels[:, 8] = 0  # not known, of which 2 are in the second region
+    mean = np.where(labels == 1, -0.5, 0.0)
+    mean[labels == 0] = np.nan
+    found = np.split(
+        recognition.describe(labels, mean), np.cumsum(list(recognition.GROUPS.values()))[:-1]
+    )
+    first, plane = (recognition.TYPES.index(kind) for kind in (1, 5))
+    assert found[0][[first, plane]] == pytest.approx([10 / 48, 38 / 48])
+    assert np.expm1(found[1][[first, plane]]) == pytest.approx([2, 1])
+    assert found[2][recognition.PAIRS.index((1, 5))] == 1
+    assert found[3][first] == pytest.approx(-0.5 * 10 / 48)
+    assert found[0].sum() == found[2].sum() == 1
+
+
+def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure() -> None:
+    training = np.array([[0.0, 0], [0.1, 0], [1, 1], [1, 1.1]])
+    names = np.array(["a", "a", "b", "b"])
+    found = recognition.recognize(
+        np.array([[0.05, 0.0], [1, 1.05], [9, 9], [0.5, 0.5]]), training, names, [1, 1]
+    )
+    assert found["name"].tolist()[:3] == ["a", "b", "b"]
+    assert found["sure"].tolist() == [True, True, False, False]
+    # Each group is scaled by itself: a feature in other units changes nothing.
+    scaled = recognition.recognize(
+        np.array([[0.05, 0.0]]) * [1, 1000], training * [1, 1000], names, [1, 1]
+    )
+    assert scaled["distance"][0] == pytest.approx(found["distance"][0])
+
+
+def test_the_interval_is_that_of_the_formula() -> None:
+    right = np.arange(40) < 36
+    z, p, n = 1.959964, 0.9, 40
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    expected = (100 * p, 100 * (middle - half), 100 * (middle + half))
+    assert recognition.wilson(right) == pytest.approx(expected, rel=1e-6)
