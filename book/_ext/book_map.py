@@ -1,7 +1,8 @@
 """The map from the thesis' equations, figures and tables to this book, and links along it.
 
 - ``{map}`` with ``equation``, ``figure`` or ``table``: the map's rows of that kind, each linked to
-  its place in the chapter and to the function behind it.
+  its place in the chapter and to the function behind it; with ``section``, ``promise`` or
+  ``sentence`` each linked to the pages that treat it.
 - Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function;
   every numbered section and every mention of an item gets an anchor or a link, too.
 - The page of a function that returns a class without a page of its own lists what it holds.
@@ -18,7 +19,7 @@ import shutil
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -37,6 +38,8 @@ from sphinx.util.docutils import SphinxDirective
 from compendium import ROOT, ledger
 
 FIGURES, PAGES = ROOT / "build" / "figures", ROOT / "book" / "notebooks"
+#: Kinds of entries that pages treat, not functions.
+TREATED = ("section", "promise", "sentence")
 CAPTION = re.compile(r"\*\*Figures? ([^*]+)\*\*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
@@ -62,13 +65,15 @@ UNLINKED = (
 
 @dataclass(frozen=True)
 class Item:
-    """An equation, figure or table of the thesis, as ``map.toml`` describes it."""
+    """An item, section, promise or sentence of the thesis, as ``map.toml`` describes it."""
 
     id: str
     what: str
-    functions: list[str]
+    functions: list[str] = field(default_factory=list)
     status: str = ""
     erratum: str = ""
+    pages: list[str] = field(default_factory=list)
+    claims: list[str] = field(default_factory=list)
 
     @property
     def kind(self) -> str:
@@ -133,6 +138,23 @@ def link_functions(names: list[str], docname: str) -> nodes.inline:
     return result
 
 
+def link_pages(item: Item, docname: str) -> nodes.inline:
+    """Return links to the pages that treat an item under their titles, with its verdicts."""
+    result = nodes.inline()
+    for k, label in enumerate(item.pages):
+        options = {"refdomain": "std", "reftype": "ref", "refexplicit": False, "refwarn": True}
+        reference = addnodes.pending_xref("", reftarget=label, refdoc=docname, **options)
+        reference += nodes.inline(label, label)
+        result += [nodes.Text("; ")] if k else []
+        result += reference
+    if not item.pages:
+        result += nodes.Text(item.status or "not treated")
+    if item.claims:
+        labels = dict.fromkeys(ledger.claim(name).label for name in item.claims)
+        result += nodes.Text(f" ({', '.join(labels)})")
+    return result
+
+
 class Map(SphinxDirective):
     required_arguments = 1
 
@@ -146,6 +168,9 @@ class Map(SphinxDirective):
             if item.id in places:
                 stem, anchor = places[item.id]
                 label = link(self.env, label, f"notebooks/{stem}", anchor)
+            if item.kind in TREATED:
+                rows.append([label, item.what, link_pages(item, self.env.docname)])
+                continue
             state: nodes.Node = nodes.Text(state_of(item))
             if item.erratum:
                 state = link(self.env, state, "errata", f"erratum-{item.erratum}")
@@ -153,6 +178,8 @@ class Map(SphinxDirective):
             if item.functions:
                 functions = link_functions(item.functions, self.env.docname)
             rows.append([label, item.what, functions, state])
+        if self.arguments[0] in TREATED:
+            return [table(["Number", "What it says", "Where this book treats it"], rows)]
         return [table(["Number", "What", "In the library", "State"], rows)]
 
 

@@ -8,17 +8,26 @@ import re
 from pathlib import Path
 
 import pytest
-from book_map import Item, find_items, read_map
+from book_map import TREATED, Item, find_items, read_map
 from book_packages import imported
 
 from compendium import ledger
 
 ROOT = Path(__file__).resolve().parents[2]
-THESIS = read_map()
+WHOLE = read_map()
+THESIS = {name: item for name, item in WHOLE.items() if item.kind not in TREATED}
 # How many numbered items each chapter of the thesis has.
 EQUATIONS = {2: 28, 3: 25, 4: 7, 5: 3}
 FIGURES = {2: 4, 3: 4, 4: 3, 5: 19}
 TABLES = {3: 1, 5: 7}
+#: Sections of the thesis, what it promises, and the sentences of its chapters 1 and 6, counted in
+#: its text; a list of chapters with a colon is one sentence.
+SECTIONS = {
+    *("1", "1.1", "1.2", "2.1", "2.2", "2.2.1", "2.2.2", "2.2.3"),
+    *("3.1", "3.1.1", "3.1.2", "3.2", "3.2.1", "4", "4.1"),
+    *("5.1", "5.2", "5.3", "5.4", "5.5", "5.5.1", "5.5.2", "5.6", "6"),
+}
+PROMISES, SENTENCES = 9, {1: 33, 6: 25}
 STATES = {
     "equation": ("holds", "corrected", "definition"),
     "figure": ("redrawn", "same drawing, data of this book", "stand-in for a photograph"),
@@ -72,3 +81,20 @@ def test_imported_packages_are_read_from_code(tmp_path: Path) -> None:
     code = "import microlib.a.b\nfrom microlib.c import d\ndef f():\n    from microlib import g\n"
     (tmp_path / "one.py").write_text(code + "import microlibs.x\nfrom microlib_y import z\n")
     assert imported(tmp_path) == imported(tmp_path / "one") == {"a", "c", "g"}
+
+
+def test_the_map_has_every_section_promise_and_sentence() -> None:
+    want = {f"section-{number}" for number in SECTIONS}
+    want |= {f"promise-{k}" for k in range(1, PROMISES + 1)}
+    want |= {f"sentence-{n}.{k}" for n, last in SENTENCES.items() for k in range(1, last + 1)}
+    assert set(WHOLE) - set(THESIS) == want
+
+
+def test_what_the_map_points_to_exists() -> None:
+    sources = [*(ROOT / "notebooks").glob("*.ipynb"), *(ROOT / "book").glob("*.md")]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    labels = set(re.findall(r'^\s*"?\(([\w-]+)\)=', text, re.M))
+    for item in WHOLE.values():
+        assert set(item.pages) <= labels, item.id
+        assert set(item.claims) <= set(ledger.claims()), item.id
+        assert item.kind != "section" or item.pages, item.id

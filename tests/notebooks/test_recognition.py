@@ -1,0 +1,81 @@
+"""The cell of the page on recognition that names a reader's height map, run on files."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+import tifffile
+
+from compendium.experiments import recognition
+from compendium.parameters import read_values
+from microlib.io import write_height_tiff
+
+NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "08_recognition.ipynb"
+CELLS = {cell.id: cell.source for cell in nbformat.read(NOTEBOOK, as_version=4).cells}
+PARTS = ("cone", "step", "parabolic ridge")
+
+
+def height(part: str, seed: int) -> np.ndarray:
+    """Return heights of a part in a pose of its own, with an error of 1 µm."""
+    rng = np.random.default_rng(seed)
+    true = recognition.surface(recognition.PARTS[part], recognition.random_pose(rng))[0]
+    found = true + rng.normal(0, 1.0, true.shape)
+    found[:3, 40:50] = np.nan  # a hole, as depth from focus leaves them
+    return found
+
+
+def write(path: Path, values: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".npy":
+        np.save(path, values)
+    else:
+        write_height_tiff(path, values, pixel_size=recognition.PIXEL)
+
+
+def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, object]:
+    names: dict[str, object] = {"mine": str(mine), "labelled": str(labelled)}
+    names |= {"pixel_size": pixel_size, "noise": 1.0, "np": np, "re": re, "tifffile": tifffile}
+    names |= {"Path": Path, "recognition": recognition}
+    exec(CELLS["rec-use"], names)
+    return names
+
+
+@pytest.mark.parametrize(("ending", "pixel_size"), [("ome.tif", None), ("npy", 4.0)])
+@pytest.mark.parametrize("part", PARTS)
+def test_a_map_of_the_reader_is_named_by_labelled_maps(
+    tmp_path: Path, part: str, ending: str, pixel_size: float | None
+) -> None:
+    for k, name in enumerate(PARTS):
+        for seed in range(4):
+            file = tmp_path / "labelled" / name / f"{seed}.{ending}"
+            write(file, height(name, 10 * k + seed))
+    (tmp_path / "labelled" / "notes.txt").touch()
+    mine = tmp_path / f"mine.{ending}"
+    write(mine, height(part, 99))
+    names = run_cell(mine, tmp_path / "labelled", pixel_size)
+    assert names["answer"]["name"].tolist() == [part]  # type: ignore[index]
+    assert len(CELLS["rec-use"].splitlines()) <= 20
+
+
+def test_a_map_without_a_pixel_size_asks_for_it(tmp_path: Path) -> None:
+    write(tmp_path / "labelled" / "cone" / "1.npy", height("cone", 1))
+    with pytest.raises(ValueError, match=r"pixel_size must be given, as 1\.npy does"):
+        run_cell(tmp_path / "mine.npy", tmp_path / "labelled", None)
+
+
+def test_the_printed_command_is_one_that_the_runner_understands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.ome.tif").touch()
+    (tmp_path / "my_parts").mkdir()
+    command = re.search(r"```sh\n(.*?)```", CELLS["rec-21"], re.S)
+    assert command
+    words = command[1].replace("\\\n", " ").split()
+    given = [(words[k + 1], words[k + 2]) for k, word in enumerate(words) if word == "-p"]
+    values = read_values(NOTEBOOK, given)
+    assert values == {"mine": "part.ome.tif", "labelled": "my_parts", "noise": 1.5}
