@@ -28,7 +28,7 @@ from microlib._command import main
 from microlib._command._calibrate import _advise
 from microlib._command._shared import _quantity, resolve_scales
 from microlib.calibration import calibrate, detect_squares
-from microlib.embryo import dimple_from_outline, read_outline
+from microlib.embryo import dimple_from_outline
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
 from tests.laws import unlike
@@ -46,7 +46,7 @@ Capture = pytest.CaptureFixture[str]
 
 
 def status(line: str, out: Path | str, look: str = "--no-look") -> int:
-    """Run a task, of a file of the inputs, without a picture; return its exit status."""
+    """Run a task on a file of the inputs, without a picture; return its exit status."""
     task, source, *options = line.split()
     try:
         return main([task, str(INPUTS / source), *options, *look.split(), "-o", str(out)])
@@ -55,14 +55,14 @@ def status(line: str, out: Path | str, look: str = "--no-look") -> int:
 
 
 def is_look(path: Path) -> bool:
-    """Return whether a file is a picture of some hundred pixels, and not of one color."""
+    """Return whether a file is a picture of several hundred pixels with contrast."""
     with Image.open(path) as picture:
         return min(picture.size) > 300 and np.ptp(np.asarray(picture.convert("L"))) > 100
 
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The pictures as they are saved."""
+    """Return the figures that are saved."""
     seen: list[Figure] = []
     save = Figure.savefig
     keep = lambda figure, *given, **how: (seen.append(figure), save(figure, *given, **how))  # noqa: E731
@@ -71,7 +71,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def hold_alike(found: object, wanted: object) -> None:
-    """Numbers that went through a file of ten digits or more."""
+    """Compare numbers that were written with ten digits or more."""
     assert not [*unlike(wanted, found, within=1e-7)]
 
 
@@ -132,11 +132,10 @@ def test_mesh_or_picture_that_fails_is_reported_and_the_rest_is_written(
     assert (tmp_path / "summary.json").exists()
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e-4])
-def test_mesh_uses_the_full_range_of_grey_levels(tmp_path: Path, scale: float) -> None:
+def test_mesh_uses_the_full_range_of_grey_levels(tmp_path: Path) -> None:
     levels = mixed_texture((48, 64), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 3)) for k in range(7)]
-    tifffile.imwrite(tmp_path / "stack.tif", np.float32(scale) * np.stack(frames))
+    tifffile.imwrite(tmp_path / "stack.tif", np.float32(1e-4) * np.stack(frames))
     line = f"depth {tmp_path / 'stack.tif'} --spacing 10 --pixel-size 1"
     assert status(line, tmp_path / "out") == 0
     assert np.ptp(vertices(tmp_path / "out" / "surface.ply")["rgb"]) > 200
@@ -234,7 +233,7 @@ def test_camera_matrix_and_scale_need_no_cell_size(tmp_path: Path, capsys: Captu
 
 
 def board(tilt: float, fields: tuple[int, int] = (9, 7)) -> np.ndarray:
-    """Draw a chessboard of fields of 40 px in 400×520 px, seen from aside."""
+    """Draw a chessboard with fields of 40 px in 400×520 px in perspective."""
     dark = np.indices(fields[::-1]).sum(axis=0) % 2 * 200 + 30
     flat = np.pad(np.kron(dark, np.ones((40, 40))), 60, constant_values=230).astype(np.uint8)
     rows, columns = flat.shape
@@ -289,7 +288,7 @@ def test_calibrate_writes_what_the_library_returns(
 
 
 def test_calibrate_leaves_out_photographs_that_disagree(tmp_path: Path, capsys: Capture) -> None:
-    """Another size ended with all photographs, and another lattice doubled the focal length."""
+    """One photograph has another size and one another aspect ratio."""
     flat = np.pad(np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((40, 40))), 60)
     camera, images = np.array([[900, 0, 239.5], [0, 900, 199.5], [0, 0, 1]]), {}
     for k in range(5):  # through one lens
@@ -310,8 +309,8 @@ def test_calibrate_leaves_out_photographs_that_disagree(tmp_path: Path, capsys: 
     assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in printed.out
 
 
-def test_advice_is_that_of_the_result() -> None:
-    """What is small, does not fit, or is open, each alone."""
+def test_advice_depends_on_the_result() -> None:
+    """A small grid, a lack of fit and undetermined parameters, each alone."""
     notes: list[str] = []
     a = Namespace(note=notes.append)
 
@@ -412,7 +411,7 @@ def test_track_writes_what_the_library_returns(
 
 
 def write_film(path: Path, count: int, share: float = 1.0) -> None:
-    """Write a film of a texture in motion, cut off after a share of its bytes."""
+    """Write a film of a moving texture, truncated after a share of its bytes."""
     way = [(60 + 2.5 * k, 60) for k in range(count)]
     frames = texture_sequence(way, np.random.default_rng(0))
     size = frames[0].shape[::-1]
@@ -580,7 +579,7 @@ def test_direction_and_unit_of_an_outline_table(
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
-    """A left flank that is stretched by a half."""
+    """The left flank is stretched by a half."""
     file = tmp_path / "points.csv"
     middle = POINTS["x"].mean()
     stretched = np.where(POINTS["x"] < middle, middle + 1.5 * (POINTS["x"] - middle), POINTS["x"])
@@ -608,7 +607,6 @@ def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
         ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
         (f"{STACK} --region 0 0 999 5", "--region must"),
         (f"{STACK} --reduce 0", "--reduce must"),
-        ("calibrate circles.png --cell 9.9", "give --pitch µm"),
         ("calibrate embryo.png --marks charuco --cell 9.9 --pitch 280", "microlib calibrate: "),
         ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
         (
@@ -634,7 +632,6 @@ def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         (f"{GRID} -o /dev/null/x", "/dev/null/x cannot be written"),
         (f"track frames.tif {BOX} -o /dev/null/t.csv", "/dev/null/t.csv cannot be written: Not a"),
-        (f"{OUTLINE} --y-down", "leave out --y-down"),
     ],
 )
 def test_error_has_one_line_and_leaves_no_file(
@@ -767,7 +764,7 @@ def test_full_disk_is_reported_and_old_pictures_are_removed(
 
 
 def test_output_never_replaces_an_input(tmp_path: Path, capsys: Capture) -> None:
-    """Also behind a link, and when printed to write over files."""
+    """Also behind a link, and with --overwrite."""
     folder = tmp_path / "scan"
     folder.mkdir()
     stack = tifffile.imread(INPUTS / "focal_stack.tif")
@@ -835,9 +832,7 @@ def test_channel_and_time_select_a_stack(tmp_path: Path, capsys: Capture) -> Non
         one, other = (tifffile.imread(tmp_path / d / f"{name}.ome.tif") for d in ("out", "plain"))
         np.testing.assert_allclose(one, other, rtol=1e-5)
     assert status(f"track frames.tif {BOX} --channel 2", tmp_path / "t.csv") == 2
-    assert (
-        "--channel must be left out for frames without that axis, got 2" in capsys.readouterr().err
-    )
+    assert "--channel must be left out for frames without that axis" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -864,7 +859,7 @@ def test_ambiguous_comma_is_rejected(text: str, number: float | None, capsys: Ca
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
 def test_letters_that_a_terminal_lacks_are_replaced(tmp_path: Path, encoding: str) -> None:
-    """A name with letters of another script, and the µ and ± of the results."""
+    """The name has Cyrillic letters and the output µ and ±."""
     (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
     line = [
         "calibrate",
@@ -934,10 +929,8 @@ def test_error_of_any_kind_has_one_line(
 def test_film_that_cannot_be_written_gives_a_note(tmp_path: Path, capsys: Capture) -> None:
     wide = np.random.default_rng(0).integers(0, 255, (2, 64, 9000)).astype(np.uint8)
     tifffile.imwrite(tmp_path / "wide.tif", wide)
-    assert status(f"track {tmp_path}/wide.tif --box 20 8 40 40 --video", tmp_path / "t.csv") in (
-        0,
-        4,
-    )
+    line = f"track {tmp_path}/wide.tif --box 20 8 40 40 --video"
+    assert status(line, tmp_path / "t.csv") in (0, 4)
     printed = capsys.readouterr()
     film = tmp_path / "t_look.mp4"
     if film.exists():  # of a build of OpenCV that can
@@ -958,33 +951,3 @@ def test_output_name_can_be_a_dot_or_begin_with_a_tilde(
     for line in (f"track frames.tif {BOX}", OUTLINE):
         assert status(line, ".") == 2
         assert "--out must be a table that ends in .csv, got ." in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("text", "points"),
-    [
-        ("12,5 30,1\n13,5 30,4\n14,5 31,0\n", [[12.5, 30.1], [13.5, 30.4], [14.5, 31.0]]),
-        ("12,30\n13,31\n14,32\n", [[12, 30], [13, 31], [14, 32]]),
-        ("12, 30\n13, 31\n", [[12, 30], [13, 31]]),
-        ("# by hand\nx (px),y (px)\n\n1,2  # first\n3,4\n\n", [[1, 2], [3, 4]]),
-        ("n;y [px];x [px]\n1;2,5;3\n2;4,5;5\n", [[3, 2.5], [5, 4.5]]),
-        ("col,row\n1,2\n3,4\n", [[1, 2], [3, 4]]),
-        ("x_px y_px\n1e1 2\n3e1 -4\n", [[10, 2], [30, -4]]),
-    ],
-)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_outline_table_formats_are_read(
-    text: str, points: list, encoding: str, tmp_path: Path
-) -> None:
-    (tmp_path / "a.csv").write_text(text, encoding=encoding)
-    np.testing.assert_allclose(np.transpose(read_outline(tmp_path / "a.csv")[:2]), points)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [("x,y\n1,2\n3,\n", r"line 3, got '3, '"), ("x_um,y_px\n1,2\n", "in one unit, got um and px")],
-)
-def test_error_of_an_outline_table_names_the_cause(text: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(ValueError, match=words):
-        read_outline(tmp_path / "a.csv")

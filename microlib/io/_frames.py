@@ -96,7 +96,8 @@ def read_frames(
     wanted = {"channel": channel, "time": time, "series": series}
     choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
     source = frames if isinstance(frames, FrameReader) else open_source(frames, choice)
-    for name, number in choice.items():  # those that no reader has applied
+    if choice:  # which the source has not applied
+        name, number = choice.popitem()
         raise ArgumentError(name, f"must be left out for frames without that axis, got {number}")
     return FrameReader(source, in_color, part, by)
 
@@ -131,13 +132,12 @@ class FrameReader(Iterable[NDArray]):
         self._source, self._keep_color = source, color
         self._region, self._reduce = region, reduce
         raw = source.read()
-        first = next(raw, ("", np.empty((0, 0), np.uint8)))
-        self._kind = first[1].shape, first[1].dtype
-        #: The first reading, whose first frame is decoded.
-        self._begun: NamedFrames | None = chain([first] if first[0] else [], raw)
-        frame = self._prepare(*first) if first[0] else first[1]
+        name, first = next(raw, ("", np.empty((0, 0), np.uint8)))
+        # The first frame, which is decoded already, belongs to the first reading.
+        self._begun: NamedFrames | None = chain([(name, first)] if name else [], raw)
+        self._kind, self.color = _kind(first), first.ndim == 3
+        frame = self._prepare(name, first) if name else first
         self.shape, self.dtype = frame.shape[:2], frame.dtype
-        self.color = len(self._kind[0]) == 3
         self.count, self.axis, self.files = source.count, source.axis, source.files
         self.positions = source.positions
         self.pixel_size = None if source.pixel_size is None else source.pixel_size * reduce
@@ -158,11 +158,8 @@ class FrameReader(Iterable[NDArray]):
         """Yield each frame with its name in error messages."""
         raw, self._begun = self._begun or self._source.read(), None
         for name, frame in raw:
-            if (frame.shape, frame.dtype) != self._kind:
-                need, got = (
-                    f"{kind} of shape {n}" for n, kind in (self._kind, (frame.shape, frame.dtype))
-                )
-                raise ValueError(f"{name} must be {need} like the first frame, got {got}")
+            if (got := _kind(frame)) != self._kind:
+                raise ValueError(f"{name} must be {self._kind} like the first frame, got {got}")
             yield name, self._prepare(name, frame)
 
     def _prepare(self, name: str, frame: NDArray) -> NDArray:
@@ -181,13 +178,16 @@ class FrameReader(Iterable[NDArray]):
         if frame.ndim == 3:
             frame = np.ascontiguousarray(frame[..., :3])
             frame = frame if self._keep_color else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
-        rows, cols = (n // self._reduce for n in frame.shape[:2])
-        if min(rows, cols) == 0:
-            raise ValueError(
-                f"reduce must be at most the sides of {name} got {self._reduce} for {frame.shape}"
-            )
+        by, side = self._reduce, min(frame.shape[:2])
+        if side < by:
+            raise ValueError(f"reduce must be at most {side}, the smaller side, got {by}")
+        rows, cols = (n // by for n in frame.shape[:2])
         # Pixels beside the last block are left out.
-        blocks = np.ascontiguousarray(frame[: rows * self._reduce, : cols * self._reduce])
-        if self._reduce == 1:
+        blocks = np.ascontiguousarray(frame[: rows * by, : cols * by])
+        if by == 1:
             return blocks
         return np.asarray(cv2.resize(blocks, (cols, rows), interpolation=cv2.INTER_AREA))
+
+
+def _kind(frame: NDArray) -> str:
+    return f"{frame.dtype} of shape {frame.shape}"
