@@ -303,16 +303,19 @@ def faults(seeds: int = 40) -> pd.DataFrame:
 
 NOTE = """\
 The photographs are rendered through a homography and Brown's distortion, by formulas that the
-library does not share. Each row of the first table adds one fault to a plain photograph, and each
-row of the last adds one to a calibration.
+library does not use. Each row of the first table adds one fault to a plain photograph. Each row of
+the last table adds one fault to a calibration.
 
-- *Found* counts marks; those hidden under dirt are left out, and leaving them out is not a fault.
-- Of 40 intervals at 95 %, 36 to 40 should hold; of 20, 17 to 20.
-- Brown's lens alone already departs a little from the model of one view, and a fit may say so.
+- *Found* counts marks. Marks that are hidden under dirt are not counted, because they cannot be
+  found.
+- Of 40 intervals at 95 %, 36 to 40 should contain the true value. Of 20 intervals, 17 to 20
+  should.
+- Brown's model of the lens already differs a little from the model of one view, so a fit may
+  report a misfit.
 - The chessboards are tilted, blurred by up to 2.4 px and partly cut off. A lattice is wrong if its
-  steps are not those of the corners, as when every second row is skipped. OpenCV needs 3 × 3
-  corners.
-- Where squares have a side of 0.9 pitches, the gap between them is 3 px wide.
+  spacings are not those of the corners, for example if every second row is skipped. OpenCV needs 3
+  × 3 corners.
+- If squares have a side of 0.9 pitches, the gap between them is 3 px wide.
 """
 
 

@@ -260,15 +260,17 @@ def limits(tables: Tables) -> Limits:
 
 
 NOTE = """\
-Detection errors are given per coordinate. Marks differ from their ground by 140 grey levels.
+Detection errors are given per coordinate. The contrast of the marks is 140 grey levels.
 
-- Each row of the first table has five views, tilted by up to 7°, under light that falls by a fifth.
-- *Complete* counts the views in which all points are found within 1 px; the errors are those of
-  these views.
-- n seeds give the coverage of right intervals of seven parameters, whose errors are all but
-  independent, to √(0.05 · 0.95/7n): 0.61 % of a tilt.
-- All squares of an image share an error in size, which is a fifth of a corner's variance. The
-  intervals allow for what the corners of one square share.
+- Each row of the first table has five views. The views are tilted by up to 7°, and the light falls
+  by a fifth across the image.
+- *Complete* counts the views in which all points are found within 1 px. The errors are the errors
+  in these views.
+- The coverage is the share of intervals that contain the true value. From n seeds and seven
+  parameters with nearly independent errors, the coverage is known to √(0.05 · 0.95/7n), which is
+  0.61 % for one tilt.
+- All squares of an image share an error in size, whose variance is a fifth of the variance of a
+  corner. The intervals include the error that the corners of one square share.
 """
 
 

@@ -261,20 +261,21 @@ METHODS = {
     "LOESS and eight Gaussians (thesis)": (by_thesis, ""),
 }
 NOTE = """\
-The capsules are not drawn by the formula that the chain fits: each image shows a closed neo-Hookean
-capsule (`indent_capsule`) of 0.5 to 2 MPa, 520 to 680 µm in radius, inflated by 1 to 8 %, with a
-dimple 30 to 140 µm deep, and with what real images have: a wall of two lines, granules, debris, a
-holder, uneven light, color and JPEG. Probes come from any side. The chain is given force,
-thickness, pixel size and the probe's width. One seed gives the same egg to all six probes, so that
-the shares of intervals are known to about 3 %. The method was developed on images of other seeds.
+The renderer and the fit use different formulas. Each image shows a closed neo-Hookean capsule
+(`indent_capsule`) with a modulus of 0.5 to 2 MPa, a radius of 520 to 680 µm and an inflation of 1
+to 8 %. The dimple is 30 to 140 µm deep. The images contain disturbances of real images: a wall of
+two lines, granules, debris, a holder, uneven light, color and JPEG. Probes come from any side. The
+method is given the force, the thickness, the pixel size and the width of the probe. One seed gives
+the same egg for all six probes, so the shares of intervals are known to about 3 %. The method was
+developed on images of other seeds.
 
-The six failures are rejected by name. Of one egg, under five probes, the flat on its holder is
-taken for a dimple, unless `direction` is given. One probe is not seen at a quarter of the
-resolution, where the intervals are also somewhat too narrow.
+The method rejects six images with an error. For one egg and five probes, the flat part on its
+holder is taken for a dimple, unless `direction` is given. At a quarter of the resolution, one
+probe is not detected, and the intervals are somewhat too narrow.
 
-The embryos that obey (4.2) and (4.7) are drawn by the library's own renderer, with dimples 40 to
-150 µm deep and noise of 2 of 255 grey levels. They compare ways from an outline to a modulus where
-the model is right by construction.
+The library's own renderer draws the embryos that obey (4.2) and (4.7). Their dimples are 40 to 150
+µm deep, and the noise is 2 of 255 grey levels. They compare methods from an outline to a modulus
+for a case in which the model is exact.
 """
 
 

@@ -398,14 +398,16 @@ def limits(tables: Tables) -> Limits:
 
 
 NOTE = """\
-These stacks were rendered by formulas that the method does not share: 21 frames of 192×192 px,
-with a blur that grows by 1 px per step, of discs for even seeds and of Gaussians for odd ones. The
-outermost 12 px are left out. Seeds and photographs were not in view while constants were chosen.
+The stacks are rendered by formulas that the method does not use. They have 21 frames of 192×192
+px. The blur grows by 1 px per focus step. Its shape is a disc for even seeds and a Gaussian for
+odd seeds. The outermost 12 px are left out. These seeds and photographs were not used to choose
+constants.
 
-- *Deciles*: pixels are sorted by their stated uncertainty, and the RMS error of each tenth is
-  divided by the RMS stated.
-- *Certain* depths are known with a stated standard deviation below a fifth of the scan. *Silently
-  wrong* ones are off by more than a step and by three times what is stated.
+- *Deciles*: pixels are sorted by their stated uncertainty. The RMS error of each tenth is divided
+  by the RMS of the stated uncertainty.
+- *Certain* depths have a stated standard deviation below a fifth of the scan. *Silently wrong*
+  depths are wrong by more than a focus step and by more than three times the stated standard
+  deviation.
 """
 
 

@@ -137,9 +137,9 @@ def blocks(stacks: dict[str, NDArray]) -> pd.DataFrame:
 
 
 NOTE = """\
-Time is processor time of one thread, in units of one pass of OpenCV's 5×5 box filter over the same
-frames. Both are measured in turn. On a machine that does other work as well, their ratio changes
-by a tenth.
+The time is processor time of one thread, in units of one pass of OpenCV's 5×5 box filter over the
+same frames. Both are measured in turn. On a machine that runs other programs, the ratio of both
+varies by a tenth.
 """
 
 

@@ -18,10 +18,11 @@ from tests.servoing.faults import FAULTS, engine_scope, run_with
 #: The loop was developed on seeds 0 to 9, and the tests have 100 to 107.
 SEEDS = range(200, 240)
 NOTE = f"""\
-Each row is over {len(SEEDS)} runs. A rendered gripper of 50 px stands under a camera that is turned
-at random, mirrored or not, with 0.08 to 0.6 px/µm and a noise of two grey levels. The target lies
-up to 50 px away in x and in y, and the tolerance is 0.05 px. Errors are those of the true feature;
-for the demo camera that is its stage at 1 µm/px. Each fault comes at a moment of its own.
+Each row has {len(SEEDS)} runs. A rendered gripper of 50 px is under a camera that is rotated at
+random and mirrored or not, with 0.08 to 0.6 px/µm and a noise of two grey levels. The target is up
+to 50 px away in x and in y, and the tolerance is 0.05 px. The errors are those of the true
+feature. For the demo camera, the true feature is the position of its stage at 1 µm/px. Each fault
+occurs at a different time.
 """
 
 

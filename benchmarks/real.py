@@ -173,19 +173,22 @@ def beads() -> dict[str, dict[str, float]]:
 
 
 NOTE = """\
-Photographs and films that others took (`data/real/README.md`); no truth is known. Of the
-photographs of the board two by two pixels are one. microlib takes colors as well as grey.
+The photographs and films are from public sources (`data/real/README.md`), and their true values
+are not known. The photographs of the board are binned by 2 × 2 px. microlib accepts color and grey
+images.
 
-- *Board*: OpenCV aligns by `findTransformECC` (affine), scikit-image by `phase_cross_correlation`
-  (shifts alone, though the scale changes). Each pixel has the frame of the largest Laplacian or
-  Sobel edge, averaged with σ = 3 px. *SML* is the sum-modified-Laplacian of the thesis with windows
-  of 5 px, in microlib. Odd and even count as apart from 2 frames on, so that whole frames
-  cost nothing.
+- *Board*: OpenCV aligns the photographs by `findTransformECC` (affine), and scikit-image by
+  `phase_cross_correlation` (shifts only, although the scale changes). Their height at each pixel
+  is the frame with the largest Laplacian or Sobel edge, averaged with σ = 3 px. *SML* is the
+  sum-modified-Laplacian of the thesis in microlib, with windows of 5 px. The maps from the odd and
+  the even photographs count as different from 2 frames on, so that rounding to whole frames is not
+  counted as an error.
 - *Chessboard*: microlib finds the corners as saddle points. OpenCV's `cornerSubPix` and
   scikit-image's `corner_subpix`, with windows of 11 px, start from the same corners, rounded to
   pixels.
-- *Beads*: OpenCV registers the first picture of a bead by `findTransformECC`, scikit-image takes
-  the `centroid` of what differs from the ground. Each path is taken beside its mean.
+- *Beads*: OpenCV registers the first picture of a bead by `findTransformECC`. scikit-image
+  computes the `centroid` of the pixels that differ from the background. The mean of each path is
+  subtracted.
 """
 
 

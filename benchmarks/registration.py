@@ -272,13 +272,15 @@ def limits(tables: Tables) -> Limits:
 
 
 NOTE = """\
-A ratio compares the RMS error after registration with that of the same stack at rest, where both
-depths are known and without the outermost 14 px. Means are geometric. The textures and seeds are
-not those that the method was made with, and the renderers share nothing with it.
+A ratio compares the RMS error after registration with the RMS error of the same stack without
+motion. It uses the pixels in which both depths are known, without the outermost 14 px. Means are
+geometric. The textures and seeds were not used to develop the method, and the renderers share no
+code with the method.
 
-- A pixel that a frame near its focus does not show has no depth. The reference is the middle
-  frame.
-- On photographs, where texture is missing in places, a single wrong patch decides the worst ratio.
+- A pixel has no depth if a frame near its focus does not show the pixel. The reference is the
+  middle frame.
+- Photographs have places without texture. There, a single wrong patch determines the largest
+  ratio.
 """
 
 

@@ -121,9 +121,9 @@ def _error(result: Any) -> float:
 
 NOTE = f"""\
 The simulated camera takes 33 frames per second, and a command takes effect 0.8 frames after its
-exposure. The stage moves at up to 400 µm/s in increments of 50 nm, the image shakes by
+exposure. The stage moves at up to 400 µm/s in increments of 50 nm. The image has a jitter of
 {CAMERA.jitter} px, and the calibration is known to 1 % and 1°. The mean errors over the innovation
-gain are over {SEEDS} seeds. Errors are those of the true feature.
+gain are means over {SEEDS} seeds. The errors are those of the true feature.
 """
 
 

@@ -359,30 +359,32 @@ def limits(tables: Tables) -> Limits:
 
 
 NOTE = f"""\
-*Convergence*: templates are 50×50 px of white noise, blurred by σ = 1 px; the camera's noise is 2
-grey levels, and the gain changes by 5 %. A trial moves the corners by exactly the displacement
-named (root mean square), either by a shift in a random direction or each corner on its own. It
-succeeds if all four corners are found to within 1 px; *wrong* is more than that, and not called
-lost. {TRIALS} trials a row.
+*Convergence*: templates are 50×50 px of white noise, blurred by σ = 1 px. The noise of the camera
+is 2 grey levels, and the gain changes by 5 %. A trial moves the corners by exactly the stated
+displacement (root mean square), either by a shift in a random direction or each corner separately.
+A trial succeeds if all four corners are found to within 1 px. It is *wrong* if the error is larger
+and the template is not reported as lost. Each row has {TRIALS} trials.
 
 *Photographs*: templates are 50×50 px of scikit-image's photographs, with a gradient of at least
-1.5 grey levels per px in every direction and a noise of 2. Quintic splines warp them: for a
-homography each corner moves by a normal deviate of 2 px, and a translation is 12 px long.
-{TRIALS} pairs a row.
+1.5 grey levels per px in every direction and a noise of 2 grey levels. Quintic splines warp them.
+For a homography each corner moves by a normal deviate of 2 px. A translation is 12 px long. Each
+row has {TRIALS} pairs.
 
-- *Hidden*: covered in part by a rectangle of another photograph.
-- *Ramp*: brightness changes by ±12 % over the template. *Gamma*: 0.5. *Blur*: σ = 2 px.
-- *Gone*: the template and its surroundings are replaced by another photograph or another place of
-  the same. *Other image*: the whole frame shows another photograph.
-- *Success*: all corners are found to within 1 px. *Silent*: more than 3 px off and not called
-  lost.
-- *z-rms*: root mean square of the middle's errors over their stated standard deviation.
-- *Returns*: the template is hidden for some frames and comes back 32 px away.
-- *Losses*: films of photographs that move, whose exposure grows threefold or over which a sheen
-  moves; found is within 1 px.
-- *Attempts*: one attempt of the tracker left out, on development photographs.
+- *Hidden*: a rectangle of another photograph covers a part of the template.
+- *Ramp*: the brightness changes by ±12 % over the template. *Gamma*: 0.5. *Blur*: σ = 2 px.
+- *Gone*: another photograph, or another place of the same photograph, replaces the template and
+  its surroundings. *Other image*: the whole frame shows another photograph.
+- *Success*: all corners are found to within 1 px. *Silent*: the error is more than 3 px, and the
+  template is not reported as lost.
+- *z-rms*: root mean square of the errors of the center, divided by their stated standard
+  deviation.
+- *Returns*: the template is hidden for some frames and reappears 32 px away.
+- *Losses*: films of photographs that move, with an exposure that grows threefold or with a moving
+  reflection. A template is found if its error is below 1 px.
+- *Attempts*: one attempt of the tracker is left out, on development photographs.
 
-*Times* are the processor's: of a frame within a sequence, or of the first after the template's.
+*Times* are processor times, either of a frame within a sequence or of the first frame after the
+template.
 """
 
 
