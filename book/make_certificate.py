@@ -39,7 +39,7 @@ THESIS = "3D Reconstruction, Classification and Mechanical Characterization of M
 AUTHOR = "Muhammet Ali Hocaoğlu"
 SOURCE = "Master's thesis, Sabancı University, 2008"
 MADE = {
-    "verdicts.json": "every number that the thesis prints, with the recomputed number and the verdict",
+    "verdicts.json": "every printed number of the thesis, with the recomputed number and verdict",
     "scorecard.csv": "the content of verdicts.json as a table",
     "certificate.json": "commit, machine, versions, times and hashes of this build",
 }
@@ -137,7 +137,7 @@ def crate(certificate: dict) -> ROCrate:
     """Return the description of the built book as a research object."""
     result = ROCrate()
     result.name = "3-D Microstructures, an executable thesis"
-    result.description = f"The numbers of a thesis, compared with recomputed numbers: {THESIS} ({SOURCE})."
+    result.description = f"Printed numbers compared with recomputed numbers: {THESIS} ({SOURCE})."
     result.datePublished = datetime.fromisoformat(certificate["built"])
     result.license = "https://spdx.org/licenses/CC-BY-4.0"
     author = result.add(Person(result, "#author", {"name": AUTHOR}))

@@ -53,9 +53,9 @@ PARTS = {
 }
 #: How a count names the claims that were compared in one way.
 CLASSES = {
-    "arithmetic": "without a star, compared by arithmetic",
-    "sentence": "without a star, compared as sentences",
-    "simulation": "without a star, compared by simulation",
+    "arithmetic": "compared by arithmetic",
+    "sentence": "compared as sentences",
+    "simulation": "compared by simulation",
 }
 
 
@@ -219,7 +219,7 @@ class Claims(SphinxDirective):
         said = [(f"{ledger.STAR} ", claim.star), ("Fitted: ", claim.fitted)]
         said += [("Left open: ", claim.undecided), ("", claim.note)]
         said.append(("Corrected: ", claim.corrected))
-        rule = f"{claim.rule}: {claim.reason}" if claim.reason else claim.rule
+        rule = f"{claim.rule}. The reason: {claim.reason}" if claim.reason else claim.rule
         said.append(("Rule: ", rule))
         thesis = [line(printed(claim), "printed")]
         return [
@@ -254,6 +254,10 @@ def place_of(claim: ledger.Claim) -> tuple[str, str]:
         name = name.rpartition(".")[0]  # a subsection without a heading of its own
     stem, anchor = places.get(name, places["section-6"])
     return f"notebooks/{stem}", anchor
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def parse_lines(directive: SphinxDirective, lines: list[str], part: nodes.Element) -> nodes.Element:
@@ -300,7 +304,7 @@ class Deviations(SphinxDirective):
         groups: dict[str, list[ledger.Claim]] = {}
         for claim in ledger.claims().values():
             if claim.reason and not claim.reason.startswith("95 %"):
-                rule = f"{claim.rule[0].upper()}{claim.rule[1:]}: {claim.reason}."
+                rule = f"{capital(claim.rule)}. The reason: {claim.reason}."
                 groups.setdefault(rule, []).append(claim)
         lines = [
             f"- {rule} ({', '.join(html_link(c.id, 'claims', f'claim-{c.id}') for c in alike)})"

@@ -1,4 +1,4 @@
-"""Argument checks, types, covariance, files, results and device calls of several packages."""
+"""Argument checks, array types, covariances, files, results and device calls for all packages."""
 
 from microlib._common._checks import (
     MEASURED,

@@ -1,4 +1,4 @@
-"""The picture of each result; Matplotlib is imported when one is drawn."""
+"""Plots of results by Matplotlib, which is imported only when a plot is drawn."""
 
 from microlib._plots._axes import default_style
 from microlib._plots._calibration import marks
