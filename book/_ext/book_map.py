@@ -40,7 +40,8 @@ from compendium import ROOT, ledger
 FIGURES, PAGES = ROOT / "build" / "figures", ROOT / "book" / "notebooks"
 #: Kinds of entries that pages treat, not functions.
 TREATED = ("section", "promise", "sentence")
-CAPTION = re.compile(r"\*\*Figures? ([^*]+)\*\*")
+# The numbers with which a caption begins; its title may name other items.
+CAPTION = re.compile(r"\*\*Figures? (\d\.\d+(?:(?:,| and| to|–| )+\d\.\d+)*)")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
