@@ -24,8 +24,7 @@ from microlib.tracking._geometry import (
 )
 from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding
 
-#: Least share of the template's pixels that must lie inside the image for it to be in view. Where
-#: the template stays inside, nothing depends on it.
+#: Least share of the template's pixels that must lie inside the image for it to be in view.
 LEAST_VISIBLE = 0.25
 
 #: Normalized correlation below which an alignment is not the template.
@@ -38,17 +37,17 @@ def _nothing() -> Image:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where a minimization left the warp.
+    """Result of a minimization over the warp.
 
     Attributes
     ----------
     pose : ndarray, shape (3, 3)
         Warp of normalized template coordinates to px of the image.
     failure : str
-        Empty, or why the minimization gave up: ``"singular"``, ``"diverged"`` or ``"out of view"``;
+        Empty, or why the minimization failed: ``"singular"``, ``"diverged"`` or ``"out of view"``;
         the pose is then the last good one.
     correlation : float
-        Normalized correlation of template and warped image over the pixels that count.
+        Normalized correlation of template and warped image, weighted.
     gain, bias : float
         Grey values of the image are ``gain``·template + ``bias``.
     visible : float
@@ -56,10 +55,10 @@ class Alignment:
     iterations : int
         Steps taken.
     design : ndarray, shape (n + m, N)
-        Derivatives of the grey values by the motion and by the light, of the last step.
+        Derivatives of the grey values by the motion and the photometric parameters, of the last
+        step.
     grey, residual, weight : ndarray, shape (H, W)
-        Image under the warp, what is left of it, and how far each pixel counts; nothing after a
-        failure.
+        Image under the warp, its residual, and the weights of the pixels; empty after a failure.
     """
 
     pose: Array
@@ -83,7 +82,7 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The template at one resolution, with all that frames leave alone.
+    """The template at one resolution, with all that does not depend on the frame.
 
     Attributes
     ----------
@@ -125,18 +124,18 @@ class Level:
         return (self.grey - np.float32(self.mean)).ravel()
 
     def corners_of(self, pose: Array) -> Array:
-        """Return the template's corners at poses, …×3×3, px of the image's samples."""
+        """Return the template's corners at a pose, px of the image's samples."""
         return apply_homography(self.to_image @ pose, self.corners)
 
     def patch(
         self, image: Image, pose: Array, saturation: float = np.inf
     ) -> tuple[Image, Image, Image]:
-        """Return the image under poses, …×3×3, its gradient, and how far each pixel counts.
+        """Return the image under a pose, its gradient, and the weight of each pixel.
 
-        A saturated pixel does not count, unless the template is saturated there, too.
+        A saturated pixel has no weight, unless the template is saturated there, too.
         """
-        warps = self.to_image @ pose @ self.to_template
-        grey, slope, inside = cut_out(image, warps, self.grey.shape, self.smoothing)
+        warp = self.to_image @ pose @ self.to_template
+        grey, slope, inside = cut_out(image, warp, self.grey.shape, self.smoothing)
         if saturation < np.inf:
             inside = inside & ((grey < saturation) | (self.grey >= saturation))
         return grey, slope, inside.astype(np.float32)
@@ -154,11 +153,11 @@ class Level:
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         for count in range(1, iterations + 1):
-            grey, slope, share = self.patch(image, pose)
-            failed = partial(Alignment, pose, visible=float(share.mean()), iterations=count)
+            grey, slope, weight = self.patch(image, pose)
+            failed = partial(Alignment, pose, visible=float(weight.mean()), iterations=count)
             if failed.keywords["visible"] < LEAST_VISIBLE:
                 return failed(failure="out of view")
-            rows = self._rows(grey, slope, share, gain)
+            rows = self._rows(grey, slope, weight, gain)
             normal = rows @ rows.T
             solution = _solved(normal)
             if not solution.size:
@@ -180,24 +179,25 @@ class Level:
             design=rows[: n + 2],
             grey=grey,
             residual=(rows[n + 2] - solution[n:] @ rows[n : n + 2]).reshape(grey.shape),
-            weight=share,
+            weight=weight,
         )
 
-    def _rows(self, grey: Image, slope: Image, share: Image, gain: float) -> Array:
+    def _rows(self, grey: Image, slope: Image, weight: Image, gain: float) -> Array:
         """Return the rows of the least squares: for each motion, template, one, and the image.
 
-        Their products with each other are the whole of the normal equations. The slope is the mean
-        of the image's and of the template's, which makes the step one of second order.
+        Their products with each other are the whole of the normal equations. The gradient is the
+        mean of those of the image and of the template, which makes the step one of second order:
+        (J(e) + J(x))/2 of Benhimane and Malis (2004).
         """
         n = len(self.basis)
         rows = np.empty((n + 3, grey.size))
         slope = slope + np.float32(gain) * self.slope
-        slope *= share.ravel() * np.float32(0.5)
+        slope *= weight.ravel() * np.float32(0.5)
         np.multiply(self.flow[0], slope[0], out=rows[:n])
         rows[:n] += self.flow[1] * slope[1]
         rows[n], rows[n + 1], rows[n + 2] = self.centered, 1.0, grey.ravel()
         rows[n + 2] -= self.mean
-        rows[n:] *= share.ravel()
+        rows[n:] *= weight.ravel()
         return rows
 
 
@@ -304,7 +304,7 @@ def make_level(
 
 
 def check_texture(template: Template) -> None:
-    """Refuse a template that a translation leaves unchanged in some direction."""
+    """Raise if the template is flat, or a translation leaves it unchanged in some direction."""
     smooth, sharp = template.smooth, template.sharp
     if smooth.contrast < 0.01 * sharp.contrast:
         raise ValueError(

@@ -126,66 +126,56 @@ def _grid(width: int, height: int) -> Image:
 
 
 def sample(
-    image: Image, warps: Array, size: tuple[int, int], *, exact: bool = False
+    image: Image, warp: Array, size: tuple[int, int], *, exact: bool = False
 ) -> tuple[Image, NDArray[np.bool_]]:
-    """Cut patches out of an image, bilinearly.
+    """Cut a patch out of an image, bilinearly.
 
     Parameters
     ----------
     image : ndarray, shape (H, W)
         Grey levels.
-    warps : ndarray, shape (…, 3, 3)
-        From px of a patch to those of the image.
+    warp : ndarray, shape (3, 3)
+        From px of the patch to those of the image.
     size : tuple of int
-        Width and height of a patch.
+        Width and height of the patch.
     exact : bool
-        Whether to interpolate where it is told, with any version of OpenCV.
+        Whether to interpolate at the exact place, with any version of OpenCV.
 
     Returns
     -------
-    patches : ndarray, shape (…, height, width)
+    patch : ndarray, shape (height, width)
         Beyond the image its nearest pixel.
-    inside : ndarray of bool, shape (…, height, width)
+    inside : ndarray of bool, shape (height, width)
         Whether the image shows a pixel.
     """
-    place = warps.astype(np.float32) @ _grid(*size)
-    place = place[..., :2, :] / np.maximum(place[..., 2:, :], np.float32(TINY))
+    place = warp.astype(np.float32) @ _grid(*size)
+    place = place[:2] / np.maximum(place[2], np.float32(TINY))
     last = np.array([[image.shape[1] - 1], [image.shape[0] - 1]], np.float32)
-    inside = ((place >= 0) & (place <= last)).all(axis=-2)
-    place = np.clip(place, 0, last)
-    x, y = place[..., 0, :], place[..., 1, :]
-    shape = (*warps.shape[:-2], size[1], size[0])
+    inside = ((place >= 0) & (place <= last)).all(axis=0).reshape(size[::-1])
+    x, y = np.clip(place, 0, last).reshape(2, *size[::-1])
     if exact and _ROUNDS:
-        patches = ndimage.map_coordinates(image, [y, x], order=1, mode="nearest")
-    else:
-        x, y = (np.ascontiguousarray(v).reshape(-1, size[0]) for v in (x, y))
-        patches = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return patches.reshape(shape), inside.reshape(shape)
+        return ndimage.map_coordinates(image, [y, x], order=1, mode="nearest"), inside
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), inside
 
 
 def cut_out(
-    image: Image, warps: Array, shape: tuple[int, int], smoothing: float
+    image: Image, warp: Array, shape: tuple[int, int], smoothing: float
 ) -> tuple[Image, Image, NDArray[np.bool_]]:
-    """Return patches, …×H×W, smoothed, their gradients (x, y), …×2×HW, and what the image shows.
+    """Return a patch, H×W, smoothed, its gradient (x, y), 2×HW, and where the image shows it.
 
-    The warps, …×3×3, begin at the first pixel of the padding. Smoothing in the template's frame,
-    and not in the image, commutes with the warp.
+    The warp begins at the first pixel of the padding. Smoothing in the template's frame, and not in
+    the image, commutes with the warp.
     """
     pad = padding(smoothing)
-    size = (shape[1] + 2 * pad, shape[0] + 2 * pad)
-    patches, inside = sample(image, warps, size, exact=smoothing == 0)
-    tall = patches.reshape(-1, size[0])  # what one patch does to the next stays in the padding
+    patch, inside = sample(
+        image, warp, (shape[1] + 2 * pad, shape[0] + 2 * pad), exact=smoothing == 0
+    )
     if smoothing:
         width = 2 * (pad - _MARGIN) + 1
-        tall = cv2.GaussianBlur(tall, (width, width), smoothing)
-    each = (tall, cv2.filter2D(tall, -1, _DIFFERENCE), cv2.filter2D(tall, -1, _DIFFERENCE.T))
-    grey, *slope = (one.reshape(patches.shape)[..., pad:-pad, pad:-pad] for one in each)
-    gradient = np.stack(slope, axis=-3)
-    return (
-        np.ascontiguousarray(grey),
-        gradient.reshape(*gradient.shape[:-2], -1),
-        inside[..., pad:-pad, pad:-pad],
-    )
+        patch = cv2.GaussianBlur(patch, (width, width), smoothing)
+    gradient = [cv2.filter2D(patch, -1, kernel) for kernel in (_DIFFERENCE, _DIFFERENCE.T)]
+    grey, *slope, inside = (each[pad:-pad, pad:-pad] for each in (patch, *gradient, inside))
+    return np.ascontiguousarray(grey), np.stack([one.ravel() for one in slope]), inside
 
 
 def noise_gain(halvings: int, density: int, smoothing: float) -> float:

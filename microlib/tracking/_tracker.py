@@ -158,11 +158,8 @@ class ESMTracker:
         pose = translate(self._pose, -origin)
         scene = Scene(self._search, view, pose, self._seen, self._last)
         found = find_template(scene, self._attempts)
-        if found is None:
-            return self._lost(scene.best.reason or "no agreement")
-        if found.confidence < self._search.settings.threshold:
-            reason = "ambiguous" if found.ambiguous else "no agreement"
-            return self._lost(reason, found.confidence)
+        if found.reason:
+            return self._lost(found.reason, found.confidence)
         track = self._accept(found, origin)
         whole = frame.astype(np.float32) * self._grey_scale
         self._last = Sighting(self._search, whole, self._pose)

@@ -22,7 +22,7 @@ from microlib.tracking.robust._search import RobustSearch
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A pose that an attempt found.
+    """The most probable pose of the template in a frame.
 
     Attributes
     ----------
@@ -30,19 +30,19 @@ class Found:
         Pose, gain, bias and correlation.
     corner_covariance : ndarray, shape (8, 8)
         Covariance of the corners in px².
-    confidence : float
-        Probability that the pose is right within a pixel.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the template that the frame does not show.
-    ambiguous : bool
-        Whether it may be a lookalike, or the template moved by another period of its texture.
+    confidence : float
+        Probability that the pose is right within a pixel.
+    reason : str
+        Empty, or why the template counts as lost.
     """
 
     fit: Alignment
     corner_covariance: Array
-    confidence: float
     hidden: NDArray[np.bool_]
-    ambiguous: bool = False
+    confidence: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,47 +105,45 @@ class Scene:
 
     @cached_property
     def from_flow(self) -> Alignment:
-        """ESM alignment that starts from where the points flow, if that is not where it is."""
+        """ESM alignment that starts from the first flow pose, unless `from_pose` ended there."""
         plain = self.from_pose
         for start in self.flow_poses[:1]:
-            if plain.reason or self._distance(start, plain.pose) > 1:
+            if plain.reason or self.search.distance(start, plain.pose) > 1:
                 return self.search.template.align(self.view.image, start)
         return plain
-
-    @cached_property
-    def photometric_from_pose(self) -> PhotometricFit | None:
-        """The first of these alignments continued with the photometric model."""
-        plain = self.from_pose
-        return None if plain.reason else self.search.polish(self.view, plain.pose)
-
-    @cached_property
-    def photometric_from_flow(self) -> PhotometricFit | None:
-        """The second of these alignments continued with the photometric model."""
-        plain = self.from_flow
-        if plain is self.from_pose or plain.reason:
-            return self.photometric_from_pose
-        return self.search.polish(self.view, plain.pose)
-
-    def _distance(self, pose: Array, other: Array) -> float:
-        """Return the largest coordinate by which the corners of two poses differ, px."""
-        return float(np.abs(self.search.corners_of(pose) - self.search.corners_of(other)).max())
 
     @cached_property
     def best(self) -> Alignment:
         """The one of these alignments with the higher correlation."""
         return max(self.from_pose, self.from_flow, key=lambda fit: fit.correlation)
 
+    @cached_property
+    def photometric_from_pose(self) -> PhotometricFit | None:
+        """`from_pose`, continued with the photometric model."""
+        return self.search.continue_photometrically(self.view, self.from_pose)
+
+    @cached_property
+    def photometric_from_flow(self) -> PhotometricFit | None:
+        """`from_flow`, continued with the photometric model, if it ended elsewhere."""
+        if self.from_flow is self.from_pose:
+            return None
+        return self.search.continue_photometrically(self.view, self.from_flow)
+
 
 def align_from_pose(scene: Scene) -> Found | None:
     """Align from the expected pose."""
-    return _without_search(scene, scene.from_pose, lambda: scene.photometric_from_pose)
+    if found := _plain(scene, scene.from_pose):
+        return found
+    return _confirmed(scene, scene.from_pose, scene.photometric_from_pose)
 
 
 def align_from_flow(scene: Scene) -> Found | None:
-    """Align from where the points of the template flow."""
+    """Align from where the points of the template flow, if that is elsewhere."""
     if scene.from_flow is scene.from_pose:
         return None
-    return _without_search(scene, scene.from_flow, lambda: scene.photometric_from_flow)
+    if found := _plain(scene, scene.from_flow):
+        return found
+    return _confirmed(scene, scene.from_flow, scene.photometric_from_flow)
 
 
 def search_nearby(scene: Scene) -> Found | None:
@@ -165,51 +163,87 @@ def search_far(scene: Scene) -> Found | None:
     return _searched(scene, scene.search.far_poses(scene.view, scene.pose), [])
 
 
-ATTEMPTS: tuple[Callable[[Scene], Found | None], ...] = (
-    align_from_pose,
-    align_from_flow,
-    search_nearby,
-    search_far,
-)
+#: An attempt returns what it finds with its confidence, or None.
+Attempt = Callable[[Scene], Found | None]
+
+ATTEMPTS: tuple[Attempt, ...] = (align_from_pose, align_from_flow, search_nearby, search_far)
 
 
-def _without_search(
-    scene: Scene, plain: Alignment, photometric: Callable[[], PhotometricFit | None]
-) -> Found | None:
-    """Return an alignment if its blocks agree: as it is, or with the photometric model."""
-    if plain.reason:
-        return None
+def find_template(scene: Scene, attempts: tuple[Attempt, ...]) -> Found:
+    """Return the first pose that is confident enough, else the most probable, with the reason."""
+    threshold = scene.search.settings.threshold
+    most_probable: Found | None = None
+    for attempt in attempts:
+        found = attempt(scene)
+        if found is None:
+            continue
+        unique = uniqueness(scene, found.fit.pose)
+        probability = found.confidence * unique
+        if probability >= threshold:
+            return replace(found, confidence=probability)
+        if most_probable is None or probability > most_probable.confidence:
+            reason = "ambiguous" if unique < threshold else "no agreement"
+            most_probable = replace(found, confidence=probability, reason=reason)
+    return most_probable or Found(
+        fit=scene.best,
+        corner_covariance=np.full((8, 8), np.nan),
+        hidden=np.ones(scene.search.shape, bool),
+        confidence=0.0,
+        reason=scene.best.reason or "no agreement",
+    )
+
+
+def uniqueness(scene: Scene, pose: Array) -> float:
+    """Return the probability that a pose is not that of a lookalike.
+
+    The template moves by a from the expected place, the nearest lookalike by b from its own, and
+    the result is b/(a + b). A move by less than a quarter of the template meets only lookalikes
+    that its first frame shows. These repeat on all sides in a periodic texture: 1 − a/b.
+    """
+    search = scene.search
+    offset = search.displacement(scene.pose, pose)
+    near = scene.seen and np.hypot(*offset) < search.side / 4
+    lookalikes = search.first_lookalikes if near else scene.last.lookalikes
+    if not len(lookalikes):
+        return 1.0
+    nearest = np.linalg.norm(lookalikes - offset, axis=1).min()
+    ratio = float(np.hypot(*offset) / max(nearest, TINY))
+    return max(0.0, 1 - ratio) if near else 1 / (1 + ratio)
+
+
+def _plain(scene: Scene, plain: Alignment) -> Found | None:
+    """Return an alignment of one gain and bias if all blocks agree within the noise."""
     search, settings = scene.search, scene.search.settings
-    sharp = search.template.sharp
-    if search.blocks_agree(plain, settings.steady_light):
-        covariance = corner_covariance(sharp, plain, plain.weight)
-        if largest_sigma(covariance) < settings.certain:
-            return Found(plain, covariance, 1.0, plain.weight == 0)
-    fit = photometric()
+    if not search.blocks_agree(plain, settings.steady_light):
+        return None
+    covariance = corner_covariance(search.template.sharp, plain, plain.weight)
+    if largest_sigma(covariance) >= settings.certain:
+        return None
+    return Found(fit=plain, corner_covariance=covariance, hidden=plain.weight == 0, confidence=1.0)
+
+
+def _confirmed(scene: Scene, plain: Alignment, fit: PhotometricFit | None) -> Found | None:
+    """Return a photometric fit in which all blocks agree, or which confirms a plain alignment."""
     if fit is None:
         return None
-    covariance = search.covariance(fit)
-    off = search.corners_of(fit.pose) - search.corners_of(plain.pose)
-    confirmed = max(np.abs(off).max(), largest_sigma(covariance)) < settings.confirmed
-    if _is_clear(scene, fit, covariance) or (confirmed and search.blocks_agree(plain)):
+    search, covariance = scene.search, scene.search.covariance(fit)
+    difference = max(search.distance(fit.pose, plain.pose), largest_sigma(covariance))
+    confirms = difference < search.settings.confirmed and search.blocks_agree(plain)
+    if confirms or _is_clear(scene, fit, covariance):
         return _found(scene, fit, covariance, 1.0)
     return None
 
 
 def _searched(scene: Scene, starts: list[Array], fits: list[PhotometricFit | None]) -> Found | None:
     """Return what the robust search finds, with its confidence."""
-    ended = [fit for fit in fits if fit is not None]
-    finding = scene.search.search(scene.view, scene.pose, starts, ended)
+    complete = [fit for fit in fits if fit is not None]
+    finding = scene.search.search(scene.view, scene.pose, starts, complete)
     if finding is None or finding.fit.reason:
         return None
     covariance = scene.search.covariance(finding.fit)
     clear = _is_clear(scene, finding.fit, covariance)
-    return _found(
-        scene,
-        finding.fit,
-        covariance,
-        1.0 if clear else confidence(finding, largest_sigma(covariance)),
-    )
+    probability = 1.0 if clear else confidence(finding, largest_sigma(covariance))
+    return _found(scene, finding.fit, covariance, probability)
 
 
 def _is_clear(scene: Scene, fit: PhotometricFit, covariance: Array) -> bool:
@@ -221,45 +255,6 @@ def _is_clear(scene: Scene, fit: PhotometricFit, covariance: Array) -> bool:
 
 def _found(scene: Scene, fit: PhotometricFit, covariance: Array, probability: float) -> Found:
     """Return a fit of the photometric model, with its hidden pixels at full resolution."""
-    rows, columns = scene.search.template.sharp.grey.shape
-    hidden = cv2.resize(
-        fit.hidden.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST
-    )
-    return Found(fit, covariance, probability, hidden > 0)
-
-
-def uniqueness(scene: Scene, pose: Array) -> float:
-    """Return how sure it is that a pose is not that of a lookalike, 0 to 1.
-
-    The template moves by a from the expected place, the nearest lookalike by b from its own, and
-    the result is b/(a + b). A move by less than a quarter of the template meets only lookalikes
-    that its first frame shows. These repeat on all sides in a periodic texture: 1 − a/b.
-    """
-    search = scene.search
-    moved = search.moved(scene.pose, pose)
-    near = scene.seen and np.hypot(*moved) < search.side / 4
-    offsets = search.own_lookalikes if near else scene.last.lookalikes
-    if not len(offsets):
-        return 1.0
-    other = np.linalg.norm(offsets - moved, axis=1).min()
-    ratio = float(np.hypot(*moved) / max(other, TINY))
-    return max(0.0, 1 - ratio) if near else 1 / (1 + ratio)
-
-
-def find_template(
-    scene: Scene, attempts: tuple[Callable[[Scene], Found | None], ...]
-) -> Found | None:
-    """Return the first pose that is confident enough, else the most probable, or None."""
-    most_probable = None
-    for attempt in attempts:
-        found = attempt(scene)
-        if found is None:
-            continue
-        unique = uniqueness(scene, found.fit.pose)
-        ambiguous = unique < scene.search.settings.threshold
-        found = replace(found, confidence=found.confidence * unique, ambiguous=ambiguous)
-        if found.confidence >= scene.search.settings.threshold:
-            return found
-        if most_probable is None or found.confidence > most_probable.confidence:
-            most_probable = found
-    return most_probable
+    size = scene.search.shape[::-1]
+    hidden = cv2.resize(fit.hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    return Found(fit=fit, corner_covariance=covariance, hidden=hidden > 0, confidence=probability)

@@ -1,4 +1,4 @@
-"""The template's parts: do they agree about a pose, and what do they say together?
+"""Correlation of the blocks of a template with those of an image, and their agreement on a pose.
 
 A block is a rectangle of 2×2 cells and overlaps its neighbors by half.
 """
@@ -13,11 +13,11 @@ import numpy as np
 from microlib._common import Array, Image
 from microlib.tracking._geometry import TINY
 
-#: Information (nats) that chance gives a block that shows something else.
-_CHANCE = 0.25
+#: Mean information (nats) of a block that shows something else.
+_UNRELATED = 0.25
 
-#: Largest say of one block in the share of blocks that agree: its variance over that of the noise.
-_LARGEST_SAY = 50.0
+#: Largest weight of one block in the agreement: its variance over that of the noise.
+_LARGEST_WEIGHT = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +42,15 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means and (co)variances of template t and image g in K blocks of one or more patches, …×K.
+    """Means and (co)variances of template t and image g in K blocks of a patch, K.
 
-    `count` is the number of pixels that count, `seen` that number over the largest of them, `rest`
-    the variance of the image that is not linear in the template, and `noise` the variance of the
-    difference of two images of the same.
+    `count` is the sum of the weights of the pixels, `visible` that sum over the largest of them,
+    `square` the squared correlation, `unexplained` the variance of the image that is not linear in
+    the template, and `noise` the variance of the difference of two images of the same.
     """
 
     count: Array
-    seen: Array
+    visible: Array
     t: Array
     g: Array
     tt: Array
@@ -60,53 +60,55 @@ class Blocks:
     noise: float
 
     @property
-    def rest(self) -> Array:
+    def unexplained(self) -> Array:
         return self.gg * (1 - self.square)
 
     def score(self) -> float:
         """Return the information (nats) in which template and image agree, summed over the blocks.
 
-        A block with the correlation ρ and the gain a says −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
-        positive, and less if its residual exceeds the noise; Δ is to the middle of all blocks.
+        A block with the correlation ρ and the gain a has −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
+        positive, and less if its residual exceeds the noise; Δ is to the median of all blocks.
         """
         information = -0.5 * np.log1p(-self.square)
         gain = np.log(np.maximum(self.tg, TINY) / self.tt)
-        weight = np.where(information > _CHANCE, information * self.seen, 0.0)
+        weight = np.where(information > _UNRELATED, information * self.visible, 0.0)
         off = gain - _weighted_median(gain, weight)
-        says = np.maximum(information - _CHANCE - off**2, 0)
-        return float((says * self.seen / (1 + self.rest / self.noise / 3**2)).sum())
+        score = np.maximum(information - _UNRELATED - off**2, 0)
+        return float((score * self.visible / (1 + self.unexplained / self.noise / 3**2)).sum())
 
     def agreement(self) -> Agreement:
         """Return how far the blocks of one patch agree."""
-        say = np.clip(self.gg / self.noise - 1, 0, _LARGEST_SAY) * self.seen
-        texture = say.sum()
-        weight = say / max(texture, TINY)
+        textures = np.clip(self.gg / self.noise - 1, 0, _LARGEST_WEIGHT) * self.visible
+        texture = textures.sum()
+        weight = textures / max(texture, TINY)
         # Interpolation leaves 2 % of a block's variance.
-        fine = self.rest <= 3 * self.noise + 0.02 * self.gg
+        agrees = self.unexplained <= 3 * self.noise + 0.02 * self.gg
         # About the one gain and bias of all blocks together.
         share = self.count / max(self.count.sum(), TINY)
         t, g = self.t - share @ self.t, self.g - share @ self.g
         slope = share @ (self.tg + t * g) / max(share @ (self.tt + t * t), TINY)
         off = np.where(self.count > 0, g - slope * t, 0.0)
-        return Agreement(float(weight @ fine), float(texture), float(np.sqrt(weight @ off**2)))
+        return Agreement(
+            agreeing=float(weight @ agrees),
+            texture=float(texture),
+            residual=float(np.sqrt(weight @ off**2)),
+        )
 
 
-def compare(grey: Image, template: Image, share: Image, noise: float) -> Blocks:
-    """Compare template and image block by block; of several images, …×H×W, each by itself.
+def compare(grey: Image, template: Image, weight: Image, noise: float) -> Blocks:
+    """Compare template and image, H×W, block by block.
 
-    `share` says how far each pixel counts, and `noise` is its standard deviation.
+    `weight` is that of the pixels, and `noise` their standard deviation.
     """
-    template = np.broadcast_to(template, grey.shape)
-    wt, wg = share * template, share * grey
-    products = np.stack([share, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
-    sums = _members(grey.shape[-2]) @ products @ _members(grey.shape[-1]).T
-    sums = sums.reshape(*sums.shape[:-2], -1)
-    count = sums[0]
-    t, g, tt, gg, tg = sums[1:] / np.maximum(count, TINY)
+    wt, wg = weight * template, weight * grey
+    products = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
+    sums = _members(grey.shape[0]) @ products @ _members(grey.shape[1]).T
+    count, *others = sums.reshape(len(products), -1)
+    t, g, tt, gg, tg = others / np.maximum(count, TINY)
     tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
     return Blocks(
         count=count,
-        seen=count / np.maximum(count.max(axis=-1, keepdims=True), TINY),
+        visible=count / max(count.max(), TINY),
         t=t,
         g=g,
         tt=tt,
@@ -125,9 +127,8 @@ def _members(length: int) -> Array:
     return ((at >= ends[:-2, None]) & (at < ends[2:, None])).astype(np.float64)
 
 
-def _weighted_median(values: Array, weights: Array) -> Array:
-    """Return the weighted median along the last axis, which stays with a length of 1."""
-    order = np.argsort(values, axis=-1)
-    total = np.cumsum(np.take_along_axis(weights, order, -1), axis=-1)
-    half = (total < total[..., -1:] / 2).sum(axis=-1, keepdims=True)
-    return np.take_along_axis(np.take_along_axis(values, order, -1), half, -1)
+def _weighted_median(values: Array, weights: Array) -> float:
+    """Return the weighted median."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.count_nonzero(total < total[-1] / 2)])

@@ -1,13 +1,12 @@
-"""Is it the template? The probability that what a robust search found is right."""
+"""Probability that what a robust search found is right, by logistic regression."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from microlib._common import Array
 from microlib.tracking.robust._search import Finding
 
-#: Coefficients of a logistic function of `features`. Fitted by maximum likelihood with a ridge of ½
+#: Coefficients of the features of `confidence`. Fitted by maximum likelihood with a ridge of ½
 #: on standardized features to 445 poses, 352 of them right, that robust searches found on
 #: photographs (eight of scikit-image's and eight of OpenCV's): in 432 pairs as those of the
 #: tracker's benchmark and in sequences with a sheen or growing saturation; right within 1 px
@@ -20,11 +19,7 @@ def confidence(finding: Finding, sigma: float) -> float:
 
     `sigma` is the largest standard deviation of a corner, px.
     """
-    return float(1.0 / (1.0 + np.exp(-COEFFICIENTS @ features(finding, sigma))))
-
-
-def features(finding: Finding, sigma: float) -> Array:
-    """Return the features that `confidence` weighs; the first is one."""
     best, second = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.second_score))
-    moved, spread = min(finding.moved, 0.5), np.log(np.clip(sigma, 1e-3, 10.0))
-    return np.array([1.0, best - second, finding.inlier_ratio, moved, spread])
+    displacement, spread = min(finding.displacement, 0.5), np.log(np.clip(sigma, 1e-3, 10.0))
+    features = np.array([1.0, best - second, finding.inlier_ratio, displacement, spread])
+    return float(1.0 / (1.0 + np.exp(-COEFFICIENTS @ features)))

@@ -1,4 +1,4 @@
-"""How uncertain is an alignment whose residuals are neither white nor all of the model?"""
+"""Covariance of an alignment whose residuals are correlated and partly outliers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from microlib.tracking._esm import Alignment, Level
 from microlib.tracking._geometry import corner_jacobian
 from microlib.tracking.robust._normal_equations import gram, ridged
 
-#: Standard deviation (px) of the Gaussian behind which the residuals should be noise.
-_BEHIND = 1.5
+#: Standard deviation (px) of the Gaussian after which the residuals should be noise.
+_SMOOTHING = 1.5
 
 
 def corner_covariance(
-    level: Level, fit: Alignment, slope: Image, kept: float = 1.0, factor: float = 1.0
+    level: Level, fit: Alignment, slope: Image, transmission: float = 1.0, factor: float = 1.0
 ) -> Array:
     """Return the covariance of the corners (8: x, y of each), px² of the frame.
 
@@ -24,32 +24,29 @@ def corner_covariance(
     level : Level
         A template that is sampled at half pixels.
     fit : Alignment
-        What its alignment left.
+        An alignment of that level.
     slope : ndarray, shape (H, W)
         Derivatives of the weighted residuals by the residuals.
-    kept : float
+    transmission : float
         Share of the variance of white noise that smoothing and interpolation leave.
     factor : float
-        What the covariance is multiplied by.
+        Factor of the covariance.
     """
     n = len(level.basis)
-    covariance = sandwich(fit.design, fit.residual, fit.weight, slope, kept, n)
+    covariance = sandwich(fit.design, fit.residual, fit.weight, slope, transmission, n)
     jacobian = corner_jacobian(fit.pose, level.basis, level.corners)
     return factor * jacobian.T @ covariance @ jacobian
 
 
 def sandwich(
-    design: Array,
-    residual: Array,
-    weight: Array,
-    slope: Array,
-    kept: float,
-    n: int,
+    design: Array, residual: Array, weight: Array, slope: Array, transmission: float, n: int
 ) -> Array:
     """Return the covariance of the first `n` parameters of a weighted least-squares fit.
 
-    The residuals are taken as white noise that interpolation and smoothing spread by a Gaussian
-    (the sandwich estimator with Huber's correction for weights).
+    This is the sandwich estimator N⁻¹ (X W K)(X W K)ᵀ N⁻¹ s² with Huber's correction for weights
+    (Huber and Ronchetti 2009, section 7.6). X is the design, W the weights, N = X W Xᵀ, s² the
+    variance of the residuals, and K the Gaussian by which interpolation and smoothing correlate
+    white noise.
 
     Parameters
     ----------
@@ -59,7 +56,7 @@ def sandwich(
         Residuals of the N = HW pixels, and their weights.
     slope : ndarray, shape (H, W)
         Derivatives of the weighted residuals by the residuals.
-    kept : float
+    transmission : float
         Share of the variance of white noise that smoothing and interpolation leave.
     n : int
         Parameters wanted; the others are estimated along with them.
@@ -69,41 +66,42 @@ def sandwich(
     ndarray, shape (n, n)
         NaN where the pixels do not determine them.
     """
-    own, rest, share = design[:n], design[n:], weight.ravel()
+    wanted, nuisance, weights = design[:n], design[n:], weight.ravel()
     try:
-        weighted = rest * share
-        own = own - np.linalg.solve(ridged(gram(weighted, rest)), gram(weighted, own)).T @ rest
-        inverse = np.linalg.inv(gram(own * share, own))
+        weighted = nuisance * weights
+        projection = np.linalg.solve(ridged(gram(weighted, nuisance)), gram(weighted, wanted))
+        wanted = wanted - projection.T @ nuisance
+        inverse = np.linalg.inv(gram(wanted * weights, wanted))
     except np.linalg.LinAlgError:
         return np.full((n, n), np.nan)
     efficiency = max(float(slope.sum()), 0.1 * float(weight.sum())) / float(weight.sum())
     variance = np.sum(np.square(weight * residual)) / np.sum(np.square(weight))
-    scores = (own * share * np.sqrt(variance)).astype(np.float32).reshape(n, *residual.shape)
-    parts = _spread(scores, kept)
-    middle = gram(parts, parts) / kept
-    alike = _correlated(residual * np.sqrt(weight), kept)
-    return alike * inverse @ middle @ inverse / efficiency**2
+    scores = (wanted * weights * np.sqrt(variance)).astype(np.float32).reshape(n, *residual.shape)
+    correlated = _correlate(scores, transmission)
+    middle = gram(correlated, correlated) / transmission
+    excess = _excess_variance(residual * np.sqrt(weight), transmission)
+    return excess * inverse @ middle @ inverse / efficiency**2
 
 
-def _spread(scores: Image, kept: float) -> Image:
-    """Return images behind the Gaussian that keeps a share of the variance of white noise, n×N."""
-    if kept < 1:
-        sigma = 1 / (2 * np.sqrt(np.pi * kept))
+def _correlate(scores: Image, transmission: float) -> Image:
+    """Return images after the Gaussian that transmits a share of white noise's variance, n×N."""
+    if transmission < 1:
+        sigma = 1 / (2 * np.sqrt(np.pi * transmission))
         scores = np.stack(
             [cv2.GaussianBlur(s, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for s in scores]
         )
     return scores.reshape(len(scores), -1)
 
 
-def _correlated(residual: Array, kept: float) -> float:
+def _excess_variance(residual: Array, transmission: float) -> float:
     """Return by what factor a blur leaves more of the residuals than of noise, at least 1.
 
-    White noise behind a Gaussian of variance s has a variance in proportion to 1/s.
+    White noise after a Gaussian of variance s has a variance in proportion to 1/s.
     """
-    spread = 1 / (2 * np.sqrt(np.pi * kept))
-    blurred = cv2.GaussianBlur(np.asarray(residual, np.float32), (0, 0), _BEHIND)
-    total = spread**2 / (spread**2 + _BEHIND**2) * float(np.mean(residual**2))
-    return max(float(np.mean(blurred**2)) / total, 1.0) if total > 0 else 1.0
+    sigma = 1 / (2 * np.sqrt(np.pi * transmission))
+    blurred = cv2.GaussianBlur(np.asarray(residual, np.float32), (0, 0), _SMOOTHING)
+    expected = sigma**2 / (sigma**2 + _SMOOTHING**2) * float(np.mean(residual**2))
+    return max(float(np.mean(blurred**2)) / expected, 1.0) if expected > 0 else 1.0
 
 
 def largest_sigma(covariance: Array) -> float:

@@ -1,7 +1,7 @@
 """Alignment with a photometric model: smooth light, blur and a tone curve, fitted robustly.
 
 The image under the warp is a sum of columns: the template, its products with the coordinates, its
-change by a blur, its square and cube (a tone curve), and a bias interpolated between knots.
+change by a blur, its square and cube (a tone curve), and a bias that is a sum of cubic splines.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from microlib.tracking._geometry import TINY, degenerate, retract
 from microlib.tracking.robust._blocks import Blocks, compare
 from microlib.tracking.robust._normal_equations import weighted_least_squares
 
-#: Columns whose derivative by the template's grey value is not zero come first; the first is the
-#: template itself.
-_GAINS = 6
+#: The columns that depend on the template come first, those of the bias behind.
+_TEMPLATE, _BIAS = slice(0, 6), slice(6, None)
 
 #: Standard deviation (px of the finest level of the search) of the Gaussian window in which gain
-#: and bias count as constant. With twice as much no more is found; the glare asks for little.
+#: and bias count as constant. With twice as much no more is found.
 _WINDOW = 3.5
 
 #: Most steps, and the motion of the corners (samples) that ends them.
@@ -38,12 +37,12 @@ _NORMAL = 1.4826
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PhotometricFit(Alignment):
-    """Where an alignment in smooth light ended; gain and bias are those at the middle.
+    """Result of an alignment with the photometric model; gain and bias are those at the middle.
 
     Attributes
     ----------
     blocks : Blocks
-        Parts of the image beside those of the template in its light, blur and tone.
+        Parts of the image beside those of the template in the fitted light, blur and tone.
     noise : float
         Robust standard deviation of the residual over the noise.
     slope : ndarray, shape (H, W)
@@ -59,105 +58,101 @@ class PhotometricFit(Alignment):
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
-    """Derivatives, residuals and weights of a step, and the scale of the residuals."""
-
-    design: Image
-    residual: Image
-    weight: Image
-    scale: float
-
-
-@dataclass(frozen=True, eq=False)
 class PhotometricLevel(Level):
-    """A template, sampled at half pixels, with the columns of its light.
+    """A template, sampled at half pixels, with the columns of the photometric model.
 
     Attributes
     ----------
-    light : ndarray, shape (m, N)
-        Columns of the light.
-    tone : ndarray, shape (6, N)
-        Derivatives of the first of them by the template's grey value.
+    columns : ndarray, shape (m, N)
+        Grey values that the model sums up.
+    column_slopes : ndarray, shape (6, N)
+        Derivatives of the columns that depend on the template by its grey value.
     """
 
-    light: Image
-    tone: Image
+    columns: Image
+    column_slopes: Image
 
     def align_photometric(
         self, image: Image, pose: Array, noise: float, saturation: float
     ) -> PhotometricFit | None:
-        """Align from a pose, or return None where too little of the template is seen."""
-        n, unit = len(self.basis), noise * self.noise
+        """Align from a pose, or return None where too little of the template is seen.
+
+        Each iteration is a step of ESM on the motion and the coefficients of all columns, by
+        iteratively reweighted least squares with Tukey's biweight.
+        """
+        n, noise = len(self.basis), noise * self.noise
         first = corners = self.corners_of(pose)
-        grey, slope, share = self.patch(image, pose, saturation)
-        inliers = inlier_weight(self, grey, share, unit).ravel()
-        response = weighted_least_squares(self.light, grey.ravel(), inliers)
+        grey, slope, weight = self.patch(image, pose, saturation)
+        inliers = inlier_weight(self, grey, weight, noise).ravel()
+        coefficients = weighted_least_squares(self.columns, grey.ravel(), inliers)
         count, moved = 0, np.inf
         while count < _ITERATIONS and moved >= _TOLERANCE:
-            gain = response[:_GAINS].astype(np.float32) @ self.tone
-            slope = np.float32(0.5) * (slope + gain * self.slope)
-            motion = self.flow[0] * slope[0] + self.flow[1] * slope[1]
-            design = np.concatenate([motion, self.light])
-            residual = grey.ravel() - response.astype(np.float32) @ self.light
-            inside = share.ravel() * inliers
-            sure = np.abs(residual[inside > 1 / 3])
-            if sure.size < 3 * len(design):
+            gain = coefficients[_TEMPLATE].astype(np.float32) @ self.column_slopes
+            mean_slope = np.float32(0.5) * (slope + gain * self.slope)
+            motion = self.flow[0] * mean_slope[0] + self.flow[1] * mean_slope[1]
+            design = np.concatenate([motion, self.columns])
+            residual = grey.ravel() - coefficients.astype(np.float32) @ self.columns
+            prior = weight.ravel() * inliers
+            of_inliers = np.abs(residual[prior > 1 / 3])
+            if of_inliers.size < 3 * len(design):
                 return None
-            scale = max(_NORMAL * float(np.median(sure)), unit)
-            weight = (inside * tukey(residual, scale)).astype(np.float32)
-            change = weighted_least_squares(design, residual, weight, motions=n)
-            response, pose = response + change[n:], retract(pose, -change[:n], self.basis)
+            scale = max(_NORMAL * float(np.median(of_inliers)), noise)
+            robust = (prior * tukey(residual, scale)).astype(np.float32)
+            step = weighted_least_squares(design, residual, robust, motions=n)
+            coefficients = coefficients + step[n:]
+            pose = retract(pose, -step[:n], self.basis)
             before, corners = corners, self.corners_of(pose)
             if degenerate(corners, first):
                 return None
             count, moved = count + 1, float(np.abs(corners - before).max())
-            grey, slope, share = self.patch(image, pose, saturation)
-        shape, gain = self.grey.shape, float(response[0]) / self.contrast
-        residual, weight = residual.reshape(shape), weight.reshape(shape)
-        model = (response[:_GAINS] @ self.light[:_GAINS]).astype(np.float32).reshape(shape)
-        middle = self.light[_GAINS:, self.grey.size // 2 + shape[1] // 2]
+            grey, slope, weight = self.patch(image, pose, saturation)
+        shape = self.grey.shape
+        residual, robust = residual.reshape(shape), robust.reshape(shape)
+        model = (coefficients[_TEMPLATE] @ self.columns[_TEMPLATE]).astype(np.float32)
+        middle = self.columns[_BIAS, self.grey.size // 2 + shape[1] // 2]
+        gain_of_middle = float(coefficients[0]) / self.contrast
         return PhotometricFit(
             pose=pose,
-            correlation=_explained(grey, residual, weight),
-            gain=gain,
-            bias=float(response[_GAINS:] @ middle) - gain * self.mean,
-            visible=float(share.mean()),
+            correlation=_explained(grey, residual, robust),
+            gain=gain_of_middle,
+            bias=float(coefficients[_BIAS] @ middle) - gain_of_middle * self.mean,
+            visible=float(weight.mean()),
             iterations=count,
             design=design,
             residual=residual,
-            weight=weight,
-            blocks=compare(grey, model, share, unit),
-            noise=scale / unit,
-            slope=_tukey_slope(weight, residual, scale),
-            hidden=_hidden(residual, model, unit),
+            weight=robust,
+            blocks=compare(grey, model.reshape(shape), weight, noise),
+            noise=scale / noise,
+            slope=_tukey_slope(robust, residual, scale),
+            hidden=_hidden(residual, model.reshape(shape), noise),
         )
 
 
-def inlier_weight(level: Level, grey: Image, share: Image, noise: float) -> Image:
+def inlier_weight(level: Level, grey: Image, weight: Image, noise: float) -> Image:
     """Return how well each pixel of a patch agrees with the template, 0 to 1.
 
     That is the correlation with the template in a window about the pixel, or, where there is little
     texture, how far their difference is noise, which may have 3 times its variance; the gain must
-    be that of the rest, within a factor of 2. `share` says how far a pixel counts, and `noise` is
-    its standard deviation, whose variance keeps what is flat from correlating by chance.
+    be within a factor of 2 of its median. `weight` is that of the pixels, and `noise` their
+    standard deviation, whose variance keeps what is flat from correlating by chance.
     """
 
     def window(image: Image) -> Image:
         return cv2.GaussianBlur(image, (0, 0), _WINDOW, borderType=cv2.BORDER_CONSTANT)
 
-    count = np.maximum(window(share), np.float32(TINY))
+    count = np.maximum(window(weight), np.float32(TINY))
     template = level.grey
-    t, g = window(share * template) / count, window(share * grey) / count
-    tt = np.maximum(window(share * template**2) / count - t * t, 0) + noise**2
-    gg = np.maximum(window(share * grey**2) / count - g * g, 0) + noise**2
-    tg = window(share * template * grey) / count - t * g
+    t, g = window(weight * template) / count, window(weight * grey) / count
+    tt = np.maximum(window(weight * template**2) / count - t * t, 0) + noise**2
+    gg = np.maximum(window(weight * grey**2) / count - g * g, 0) + noise**2
+    tg = window(weight * template * grey) / count - t * g
     gain, correlation = tg / tt, tg / np.sqrt(tt * gg)
-    sure = correlation > 0.7
-    usual = float(np.median(gain[sure])) if sure.any() else 1.0
-    alike = np.where((gain > usual / 2) & (gain < 2 * usual), correlation, 0)
-    rest = gg - 2 * usual * tg + usual**2 * tt - (1 + usual**2) * noise**2
-    noisy = 6 * noise**2 / np.maximum(rest, 6 * noise**2)
-    return np.maximum(np.maximum(alike, noisy), 0).astype(np.float32) * share
+    correlated = correlation > 0.7
+    median = float(np.median(gain[correlated])) if correlated.any() else 1.0
+    by_texture = np.where((gain > median / 2) & (gain < 2 * median), correlation, 0)
+    excess = gg - 2 * median * tg + median**2 * tt - (1 + median**2) * noise**2
+    by_noise = 6 * noise**2 / np.maximum(excess, 6 * noise**2)
+    return np.maximum(np.maximum(by_texture, by_noise), 0).astype(np.float32) * weight
 
 
 def tukey(residual: Array, scale: float) -> Array:
@@ -174,10 +169,10 @@ def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
 
 def _explained(grey: Image, residual: Image, weight: Image) -> float:
     """Return the weighted correlation of grey values with what is left without the residual."""
-    share = weight / max(float(weight.sum()), TINY)
-    spread = float((share * (grey - (share * grey).sum()) ** 2).sum())
-    left = float((share * residual**2).sum())
-    return float(np.sqrt(max(1.0 - left / max(spread, TINY), 0.0)))
+    unit = weight / max(float(weight.sum()), TINY)
+    total = float((unit * (grey - (unit * grey).sum()) ** 2).sum())
+    unexplained = float((unit * residual**2).sum())
+    return float(np.sqrt(max(1.0 - unexplained / max(total, TINY), 0.0)))
 
 
 def _hidden(residual: Image, model: Image, noise: float) -> Image:
@@ -193,9 +188,10 @@ def _hidden(residual: Image, model: Image, noise: float) -> Image:
 
 
 def make_photometric(level: Level, blurred: Level, bias_splines: int) -> PhotometricLevel:
-    """Return the columns of the light of a template, which is given a little `blurred`, too.
+    """Return a template with the columns of its photometric model.
 
-    The bias is a sum of so many splines along each side.
+    `blurred` is the same template after a small blur. The bias is a sum of so many splines along
+    each side.
     """
     rows, columns = level.grey.shape
     contrast = max(level.contrast, TINY)
@@ -203,22 +199,23 @@ def make_photometric(level: Level, blurred: Level, bias_splines: int) -> Photome
     v, u = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
     blur = blurred.grey - level.grey
     one, zero = np.ones_like(t), np.zeros_like(t)
-    # A column, and its derivative by the template's grey value.
-    gains = [
-        (t, one),
-        (u * t, u),
-        (v * t, v),
-        (blur / max(float(blur.std()), TINY), zero),
-        (t * t, 2 * t),
-        (t**3, 3 * t * t),
-    ]
+    # Each column of the template, and its derivative by the template's grey value.
+    of_template = {
+        "gain": (t, one),
+        "gain along x": (u * t, u),
+        "gain along y": (v * t, v),
+        "blur": (blur / max(float(blur.std()), TINY), zero),
+        "square": (t * t, 2 * t),
+        "cube": (t**3, 3 * t * t),
+    }
     across, down = (_splines(side, bias_splines) for side in (columns, rows))
-    biases = [a * b[:, None] for a in across for b in down]
-    light = np.array([column for column, _ in gains] + biases, np.float32)
-    tone = np.array([slope for _, slope in gains], np.float32) / np.float32(contrast)
-    own = {**vars(level), "contrast": contrast}
+    of_bias = [a * b[:, None] for a in across for b in down]
+    values = np.array([column for column, _ in of_template.values()] + of_bias, np.float32)
+    slopes = np.array([slope for _, slope in of_template.values()], np.float32)
     return PhotometricLevel(
-        **own, light=light.reshape(len(light), -1), tone=tone.reshape(len(tone), -1)
+        **{**vars(level), "contrast": contrast},
+        columns=values.reshape(len(values), -1),
+        column_slopes=slopes.reshape(len(slopes), -1) / np.float32(contrast),
     )
 
 

@@ -1,14 +1,16 @@
-"""The robust attempts: at a template that is partly hidden, in another light, or far away.
+"""Search for a template that is partly hidden, in another light, or far away.
 
-Distant starts are aligned at the coarsest level first. The starts in which the blocks of the
-template agree best, beyond chance, go on, with the template as blurred as the frame, and end in
-smooth light; the agreement of the blocks ranks the poses there, too.
+Starts are aligned at the coarsest and at the finest level. A beam of those in which the blocks of
+the template agree best is aligned with the photometric model, the template as blurred as the frame.
+The score of the blocks ranks these fits, too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -30,14 +32,23 @@ _SHARP = 0.6
 _MARGIN = 8.0
 
 
+class HasPose(Protocol):
+    """Anything found at a pose."""
+
+    @property
+    def pose(self) -> Array: ...
+
+
+_T = TypeVar("_T", bound=HasPose)
+
+
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """A pose, what the blocks say of it, and the template's blur; with a fit at the end."""
+class Start:
+    """A pose, the score of the blocks there, and the template's blur."""
 
     pose: Array
     score: float
-    blur: int = 0
-    fit: PhotometricFit | None = None
+    blur: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +58,12 @@ class Finding:
     Attributes
     ----------
     fit : PhotometricFit
-        Pose, light, weights and residuals.
+        Pose, photometric parameters, weights and residuals.
     score, second_score : float
-        Nats in which the blocks agree; and those of the best pose elsewhere that was followed to
-        the end, too.
+        Information (nats) in which the blocks agree; and that of the best pose elsewhere.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
-    moved : float
+    displacement : float
         Distance of the center from the expected one, in sides of the template.
     """
 
@@ -61,11 +71,25 @@ class Finding:
     score: float
     second_score: float
     inlier_ratio: float
-    moved: float
+    displacement: float
 
 
 class RobustSearch:
-    """A template at the resolutions of the robust attempts."""
+    """A template at the resolutions of the robust attempts.
+
+    Attributes
+    ----------
+    template : Template
+        Its levels for plain alignments.
+    settings : Settings
+        Thresholds and sizes of the search.
+    noise : float
+        Standard deviation of the noise of the first frame.
+    side : int
+        The longer side of the box, px.
+    first_lookalikes : ndarray, shape (k, 2)
+        Where else the first frame shows the template, as offsets (px).
+    """
 
     def __init__(
         self,
@@ -77,8 +101,8 @@ class RobustSearch:
     ) -> None:
         self.template, self.settings, self.noise = template, Settings(), view.noise
         width, height = box[2:]
-        settings, self.side = self.settings, max(width, height)
-        self._finest = max(0, int(np.ceil(np.log2(max(width, height) / settings.largest))))
+        settings, self.side, self.shape = self.settings, max(width, height), (height, width)
+        self._finest = max(0, int(np.ceil(np.log2(self.side / settings.largest))))
         self._scale = 2.0**self._finest
         cut = partial(make_level, box=box, pose=pose, motion=motion)
         fine = view.layer(self._finest)
@@ -98,93 +122,14 @@ class RobustSearch:
                 for one in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
             )
             self._photometric.append(make_photometric(sharp, blurred, settings.bias_splines))
-        self._corners = template.sharp.corners
-        reach = max(width, height) >> self._finest
-        self._points = PointFlow(self._blurred[0], fine, pose, reach)
+        self._points = PointFlow(self._blurred[0], fine, pose, self.side >> self._finest)
         self._distortions = distortions(motion, settings.distortion)
-        self.own_lookalikes = self.lookalikes(view.image, pose)
+        self.first_lookalikes = self.lookalikes(view.image, pose)
 
     def is_enough(self, agreement: Agreement) -> bool:
-        """Return whether the blocks of the template agree, and have enough texture to say so."""
+        """Return whether the blocks of the template agree, and have enough texture for that."""
         most_agree = agreement.agreeing >= self.settings.agreed
         return most_agree and agreement.texture >= self.settings.texture
-
-    def flow_poses(self, view: View, pose: Array) -> list[Array]:
-        """Return the poses to which most points of the template flow, at most two."""
-        return self._points.poses(view.layer(self._finest), pose)
-
-    def match_poses(self, view: View, pose: Array) -> list[Array]:
-        """Return the pose translated to where the template correlates best in the view."""
-        layer, apart = view.layer(self._halvings), min(self._coarse.grey.shape) // 4
-        return ncc_peaks(self._coarse, layer, pose, apart=apart)[: self.settings.places]
-
-    def align_coarsely(self, view: View, pose: Array) -> Alignment:
-        """Align from a pose at the coarsest level."""
-        layer = view.layer(self._halvings)
-        return self._coarse.align(layer, pose, tolerance=0.3, iterations=5)
-
-    def far_poses(self, view: View, pose: Array) -> list[Array]:
-        """Return the best of a pose that is distorted, or translated to the best matches.
-
-        They are aligned at the coarsest level, and the template's points followed from the best.
-        """
-        starts = [pose @ warp for warp in self._distortions] + self.match_poses(view, pose)
-        aligned = self.align_starts(view, starts)
-        return aligned + [far for start in aligned[:1] for far in self.flow_poses(view, start)[:1]]
-
-    def align_starts(self, view: View, starts: list[Array]) -> list[Array]:
-        """Return where the best starts lead, aligned at the coarsest level and the finest."""
-        fits = [self.align_coarsely(view, start) for start in starts]
-        ranked = [Candidate(fit.pose, fit.correlation) for fit in fits if not fit.failure]
-        coarse = self._different(ranked)[: self.settings.beam]
-        fine, layer = self._blurred[0], view.layer(self._finest)
-        return [fine.align(layer, one.pose, tolerance=0.3).pose for one in coarse]
-
-    def search(
-        self, view: View, pose: Array, starts: list[Array], fits: list[PhotometricFit]
-    ) -> Finding | None:
-        """Return the best pose that the starts lead to, or None if none is any good.
-
-        Parameters
-        ----------
-        view : View
-            The frame.
-        pose : ndarray, shape (3, 3)
-            Where the template is expected.
-        starts : list of ndarray, shape (3, 3)
-            Poses to begin with.
-        fits : list of PhotometricFit
-            Alignments that are complete.
-        """
-        settings = self.settings
-        ended = [Candidate(fit.pose, fit.blocks.score(), fit=fit) for fit in fits]
-        beam = self._different([self._judged(view, start) for start in starts])[: settings.beam]
-        least = max(
-            settings.least_score, settings.beam_share * max((one.score for one in beam), default=0)
-        )
-        for one in self._with_best_blur(view, [one for one in beam if one.score >= least]):
-            fit = self.polish(view, one.pose, one.blur)
-            if fit is not None:
-                ended.append(Candidate(fit.pose, fit.blocks.score(), one.blur, fit))
-        if not ended:
-            return None
-        best, *others = self._different(ended)
-        assert best.fit is not None
-        return Finding(
-            fit=best.fit,
-            score=best.score,
-            second_score=others[0].score if others else 0.0,
-            inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), best.pose),
-            moved=float(np.hypot(*self.moved(pose, best.pose)) / self.side),
-        )
-
-    def corners_of(self, pose: Array) -> Array:
-        """Return the corners of the template at a pose, px of the view."""
-        return apply_homography(pose, self._corners)
-
-    def moved(self, before: Array, after: Array) -> Array:
-        """Return how the center of the template moves from a pose to another, (x, y) in px."""
-        return (self.corners_of(after) - self.corners_of(before)).mean(axis=0)
 
     def blocks_agree(self, fit: Alignment, limit: tuple[float, float] | None = None) -> bool:
         """Return whether all blocks of the template agree with an alignment of one gain and bias.
@@ -199,6 +144,79 @@ class RobustSearch:
         most = noise * self.noise + contrast * abs(fit.gain) * sharp.contrast
         return self.is_enough(agreement) and agreement.residual <= most
 
+    def flow_poses(self, view: View, pose: Array) -> list[Array]:
+        """Return the poses to which most points of the template flow, at most two."""
+        return self._points.poses(view.layer(self._finest), pose)
+
+    def match_poses(self, view: View, pose: Array) -> list[Array]:
+        """Return the pose translated to where the template correlates best in the view."""
+        layer, apart = view.layer(self._halvings), min(self._coarse.grey.shape) // 4
+        return ncc_peaks(self._coarse, layer, pose, apart=apart)[: self.settings.places]
+
+    def far_poses(self, view: View, pose: Array) -> list[Array]:
+        """Return the best of a pose that is distorted, or translated to the best matches.
+
+        The template's points are followed from the best one, too.
+        """
+        starts = [pose @ warp for warp in self._distortions] + self.match_poses(view, pose)
+        aligned = self.align_starts(view, starts)
+        return aligned + [far for start in aligned[:1] for far in self.flow_poses(view, start)[:1]]
+
+    def align_starts(self, view: View, starts: list[Array]) -> list[Array]:
+        """Return where the best starts lead, aligned at the coarsest level and the finest."""
+        layer = view.layer(self._halvings)
+        fits = [self._coarse.align(layer, start, tolerance=0.3, iterations=5) for start in starts]
+        aligned = [fit for fit in fits if not fit.failure]
+        best = self._different(aligned, lambda fit: fit.correlation)[: self.settings.beam]
+        fine, layer = self._blurred[0], view.layer(self._finest)
+        return [fine.align(layer, fit.pose, tolerance=0.3).pose for fit in best]
+
+    def search(
+        self, view: View, pose: Array, starts: list[Array], fits: list[PhotometricFit]
+    ) -> Finding | None:
+        """Return the best pose that the starts lead to, or None if there is none.
+
+        Parameters
+        ----------
+        view : View
+            The frame.
+        pose : ndarray, shape (3, 3)
+            Where the template is expected.
+        starts : list of ndarray, shape (3, 3)
+            Poses to begin with.
+        fits : list of PhotometricFit
+            Alignments that are complete.
+        """
+        settings = self.settings
+        scored = [self._scored(view, start) for start in starts]
+        beam = self._different(scored, lambda start: start.score)[: settings.beam]
+        least = max([settings.least_score, *(settings.beam_share * one.score for one in beam)])
+        for start in (self._with_best_blur(view, one) for one in beam if one.score >= least):
+            fit = self.align_photometric(view, start.pose, start.blur)
+            fits = fits if fit is None else [*fits, fit]
+        if not fits:
+            return None
+        best, *others = self._different(fits, lambda fit: fit.blocks.score())
+        return Finding(
+            fit=best,
+            score=best.blocks.score(),
+            second_score=others[0].blocks.score() if others else 0.0,
+            inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), best.pose),
+            displacement=float(np.hypot(*self.displacement(pose, best.pose)) / self.side),
+        )
+
+    def corners_of(self, pose: Array) -> Array:
+        """Return the corners of the template at a pose, px of the view."""
+        return apply_homography(pose, self.template.sharp.corners)
+
+    def displacement(self, before: Array, after: Array) -> Array:
+        """Return how the center of the template moves from a pose to another, (x, y) in px."""
+        return (self.corners_of(after) - self.corners_of(before)).mean(axis=0)
+
+    def distance(self, pose: Array, other: Array) -> float:
+        """Return the largest coordinate by which the corners of two poses differ, px."""
+        return float(np.abs(self.corners_of(pose) - self.corners_of(other)).max())
+
     def lookalikes(self, image: Image, pose: Array) -> Array:
         """Return where else in a frame all blocks agree: offsets from the pose, k×2 (x, y) in px.
 
@@ -206,17 +224,21 @@ class RobustSearch:
         """
         view, least = View(image, 0.0), self.settings.alike
         peaks = ncc_peaks(self._blurred[0], view.layer(self._finest), pose, apart=2, least=least)
-        offsets = [self.moved(pose, peak) for peak in peaks]
+        offsets = [self.displacement(pose, peak) for peak in peaks]
         elsewhere = sorted((np.hypot(*off), *off) for off in offsets if np.hypot(*off) > 3)
         fits = [
             self.template.align(view.image, translate(pose, np.array(off)))
             for _, *off in elsewhere[: self.settings.places]
         ]
-        equal = [self.moved(pose, fit.pose) for fit in fits if self.blocks_agree(fit)]
+        equal = [self.displacement(pose, fit.pose) for fit in fits if self.blocks_agree(fit)]
         return np.array([off for off in equal if np.hypot(*off) > 3]).reshape(-1, 2)
 
-    def polish(self, view: View, pose: Array, blur: int = 0) -> PhotometricFit | None:
-        """Align in smooth light at half pixels of the finest level."""
+    def continue_photometrically(self, view: View, plain: Alignment) -> PhotometricFit | None:
+        """Continue an alignment with the photometric model, unless it is not the template."""
+        return None if plain.reason else self.align_photometric(view, plain.pose)
+
+    def align_photometric(self, view: View, pose: Array, blur: int = 0) -> PhotometricFit | None:
+        """Align with the photometric model at half pixels of the finest level."""
         corners = self.corners_of(pose) / self._scale
         near, first = cut_around(view.layer(self._finest), corners, _MARGIN)
         if min(near.shape) < _MARGIN:
@@ -231,30 +253,30 @@ class RobustSearch:
     def covariance(self, fit: PhotometricFit) -> Array:
         """Return the covariance of the corners (8: x, y of each), px² of the frame."""
         level = self._photometric[0]
-        return corner_covariance(level, fit, fit.slope, level.noise**2, self.settings.unmodeled)
+        return corner_covariance(
+            level,
+            fit,
+            slope=fit.slope,
+            transmission=level.noise**2,
+            factor=self.settings.unmodeled,
+        )
 
-    def _judged(self, view: View, pose: Array, blur: int = 0) -> Candidate:
+    def _scored(self, view: View, pose: Array, blur: int = 0) -> Start:
         """Return a pose with the score of the blocks of the template in one of its blurs."""
         level = self._blurred[blur]
-        grey, _, share = level.patch(view.layer(self._finest), pose, view.saturation)
-        blocks = compare(grey, level.grey, share, view.noise * level.noise)
-        return Candidate(pose, blocks.score(), blur)
+        grey, _, weight = level.patch(view.layer(self._finest), pose, view.saturation)
+        blocks = compare(grey, level.grey, weight, view.noise * level.noise)
+        return Start(pose, blocks.score(), blur)
 
-    def _different(self, candidates: list[Candidate]) -> list[Candidate]:
-        """Return the candidates, best first, that are more than 3 px from each better one."""
-        found: list[Candidate] = []
-        corners = np.empty((0, 4, 2))
-        for one in sorted(candidates, key=lambda one: -one.score):
-            own = self.corners_of(one.pose)
-            if (np.abs(corners - own).max(axis=(1, 2)) > 3 * self._scale).all():
-                found.append(one)
-                corners = np.concatenate([corners, own[None]])
-        return found
-
-    def _with_best_blur(self, view: View, starts: list[Candidate]) -> list[Candidate]:
-        """Return each start with the blur of the template in which the blocks agree best."""
+    def _with_best_blur(self, view: View, start: Start) -> Start:
+        """Return a start with the blur of the template in which the blocks agree best."""
         blurs = range(len(self._blurred))
-        return [
-            max((self._judged(view, one.pose, blur) for blur in blurs), key=lambda one: one.score)
-            for one in starts
-        ]
+        return max((self._scored(view, start.pose, blur) for blur in blurs), key=lambda s: s.score)
+
+    def _different(self, found: list[_T], score: Callable[[_T], float]) -> list[_T]:
+        """Return what was found, best first, more than 3 px from each better one."""
+        different: list[_T] = []
+        for one in sorted(found, key=score, reverse=True):
+            if all(self.distance(one.pose, other.pose) > 3 * self._scale for other in different):
+                different.append(one)
+        return different
