@@ -95,7 +95,7 @@ class Scene:
 
     @cached_property
     def flow_poses(self) -> list[Array]:
-        """Poses to which the points of the template flow."""
+        """Pose to which most points of the template flow, if there is one."""
         return self.search.flow_poses(self.view, self.pose)
 
     @cached_property
@@ -105,9 +105,9 @@ class Scene:
 
     @cached_property
     def from_flow(self) -> Alignment:
-        """ESM alignment that starts from the first flow pose, unless `from_pose` ended there."""
+        """ESM alignment that starts from the flow pose, unless `from_pose` ended there."""
         plain = self.from_pose
-        for start in self.flow_poses[:1]:
+        for start in self.flow_poses:
             if plain.reason or self.search.distance(start, plain.pose) > 1:
                 return self.search.template.align(self.view.image, start)
         return plain

@@ -7,10 +7,8 @@ The score of the blocks ranks these fits, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -30,25 +28,6 @@ _SHARP = 0.6
 
 #: Margin (px) around the template in which it is aligned at half pixels.
 _MARGIN = 8.0
-
-
-class HasPose(Protocol):
-    """Anything found at a pose."""
-
-    @property
-    def pose(self) -> Array: ...
-
-
-_T = TypeVar("_T", bound=HasPose)
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """A pose, the score of the blocks there, and the template's blur."""
-
-    pose: Array
-    score: float
-    blur: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +124,9 @@ class RobustSearch:
         return self.is_enough(agreement) and agreement.residual <= most
 
     def flow_poses(self, view: View, pose: Array) -> list[Array]:
-        """Return the poses to which most points of the template flow, at most two."""
-        return self._points.poses(view.layer(self._finest), pose)
+        """Return the pose to which most points of the template flow, if there is one."""
+        found = self._points.flow_pose(view.layer(self._finest), pose)
+        return [] if found is None else [found]
 
     def match_poses(self, view: View, pose: Array) -> list[Array]:
         """Return the pose translated to where the template correlates best in the view."""
@@ -160,16 +140,17 @@ class RobustSearch:
         """
         starts = [pose @ warp for warp in self._distortions] + self.match_poses(view, pose)
         aligned = self.align_starts(view, starts)
-        return aligned + [far for start in aligned[:1] for far in self.flow_poses(view, start)[:1]]
+        return aligned + [far for start in aligned[:1] for far in self.flow_poses(view, start)]
 
     def align_starts(self, view: View, starts: list[Array]) -> list[Array]:
         """Return where the best starts lead, aligned at the coarsest level and the finest."""
         layer = view.layer(self._halvings)
         fits = [self._coarse.align(layer, start, tolerance=0.3, iterations=5) for start in starts]
-        aligned = [fit for fit in fits if not fit.failure]
-        best = self._different(aligned, lambda fit: fit.correlation)[: self.settings.beam]
+        fits = [fit for fit in fits if not fit.failure]
+        best = self._different([fit.pose for fit in fits], [fit.correlation for fit in fits])
         fine, layer = self._blurred[0], view.layer(self._finest)
-        return [fine.align(layer, fit.pose, tolerance=0.3).pose for fit in best]
+        beam = [fits[k].pose for k in best[: self.settings.beam]]
+        return [fine.align(layer, start, tolerance=0.3).pose for start in beam]
 
     def search(
         self, view: View, pose: Array, starts: list[Array], fits: list[PhotometricFit]
@@ -188,21 +169,22 @@ class RobustSearch:
             Alignments that are complete.
         """
         settings = self.settings
-        scored = [self._scored(view, start) for start in starts]
-        beam = self._different(scored, lambda start: start.score)[: settings.beam]
-        least = max([settings.least_score, *(settings.beam_share * one.score for one in beam)])
-        for start in (self._with_best_blur(view, one) for one in beam if one.score >= least):
-            fit = self.align_photometric(view, start.pose, start.blur)
+        scores = [self._score(view, start) for start in starts]
+        beam = self._different(starts, scores)[: settings.beam]
+        least = max([settings.least_score, *(settings.beam_share * scores[k] for k in beam)])
+        for start in (starts[k] for k in beam if scores[k] >= least):
+            fit = self.align_photometric(view, start, self._best_blur(view, start))
             fits = fits if fit is None else [*fits, fit]
         if not fits:
             return None
-        best, *others = self._different(fits, lambda fit: fit.blocks.score())
+        scores = [fit.blocks.score() for fit in fits]
+        best, *others = self._different([fit.pose for fit in fits], scores)
         return Finding(
-            fit=best,
-            score=best.blocks.score(),
-            second_score=others[0].blocks.score() if others else 0.0,
-            inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), best.pose),
-            displacement=float(np.hypot(*self.displacement(pose, best.pose)) / self.side),
+            fit=fits[best],
+            score=scores[best],
+            second_score=scores[others[0]] if others else 0.0,
+            inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), fits[best].pose),
+            displacement=float(np.hypot(*self.displacement(pose, fits[best].pose)) / self.side),
         )
 
     def corners_of(self, pose: Array) -> Array:
@@ -261,22 +243,21 @@ class RobustSearch:
             factor=self.settings.unmodeled,
         )
 
-    def _scored(self, view: View, pose: Array, blur: int = 0) -> Start:
-        """Return a pose with the score of the blocks of the template in one of its blurs."""
+    def _score(self, view: View, pose: Array, blur: int = 0) -> float:
+        """Return the score of a pose from the blocks of the template in one of its blurs."""
         level = self._blurred[blur]
         grey, _, weight = level.patch(view.layer(self._finest), pose, view.saturation)
-        blocks = compare(grey, level.grey, weight, view.noise * level.noise)
-        return Start(pose, blocks.score(), blur)
+        return compare(grey, level.grey, weight, view.noise * level.noise).score()
 
-    def _with_best_blur(self, view: View, start: Start) -> Start:
-        """Return a start with the blur of the template in which the blocks agree best."""
+    def _best_blur(self, view: View, pose: Array) -> int:
+        """Return the blur of the template in which the blocks agree best at a pose."""
         blurs = range(len(self._blurred))
-        return max((self._scored(view, start.pose, blur) for blur in blurs), key=lambda s: s.score)
+        return max(blurs, key=lambda blur: self._score(view, pose, blur))
 
-    def _different(self, found: list[_T], score: Callable[[_T], float]) -> list[_T]:
-        """Return what was found, best first, more than 3 px from each better one."""
-        different: list[_T] = []
-        for one in sorted(found, key=score, reverse=True):
-            if all(self.distance(one.pose, other.pose) > 3 * self._scale for other in different):
-                different.append(one)
-        return different
+    def _different(self, poses: list[Array], scores: list[float]) -> list[int]:
+        """Return the numbers of the poses, best first, more than 3 px from each better one."""
+        found: list[int] = []
+        for k in sorted(range(len(poses)), key=lambda k: -scores[k]):
+            if all(self.distance(poses[k], poses[n]) > 3 * self._scale for n in found):
+                found.append(k)
+        return found

@@ -1,4 +1,4 @@
-"""Where might the template be? Its points' flow, its best matches, and its distortions."""
+"""Poses to start from: optical flow of points, peaks of the correlation, and distortions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from microlib.tracking._esm import Level
 from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, retract, translate
 from microlib.tracking._sampling import padding, sample
 
-#: Px between the points, and their error (px).
-_EVERY, _ERROR = 5, 1.5
+#: Spacing of the points and their error, px.
+_SPACING, _ERROR = 5, 1.5
 
 #: Fewest points that make a motion.
 _FEWEST = 8
@@ -27,10 +27,11 @@ class PointFlow:
     Local contrast leaves neither a shadow nor a highlight, but for their edges.
     """
 
-    def __init__(self, level: Level, image: Image, pose: Array, reach: int) -> None:
-        self._level, self._reach = level, reach
+    def __init__(self, level: Level, image: Image, pose: Array, margin: int) -> None:
+        self._level, self._margin = level, margin
         rows, columns = (
-            np.arange(2 + (side - 5) % _EVERY // 2, side - 2, _EVERY) for side in level.grey.shape
+            np.arange(2 + (side - 5) % _SPACING // 2, side - 2, _SPACING)
+            for side in level.grey.shape
         )
         place = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
         self._points = place.astype(np.float32)
@@ -45,44 +46,40 @@ class PointFlow:
         stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
         return float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
 
-    def poses(self, image: Image, pose: Array) -> list[Array]:
-        """Return the two poses that most points agree in when they are followed from a pose."""
+    def flow_pose(self, image: Image, pose: Array) -> Array | None:
+        """Return the pose that most points agree in when they are followed from a pose."""
         here, there = self._followed(image, pose)
-        known = np.isfinite(there).all(axis=1)
-        here, there = here[known].astype(np.float32), there[known].astype(np.float32)
-        found: list[Array] = []
-        while len(found) < 2 and len(here) >= _FEWEST:
-            motion, agree = _agreed(here, there, len(self._level.basis), self._error)
-            if motion is None or agree.sum() < _FEWEST:
-                break
-            found.append(motion @ pose)
-            here, there = here[~agree], there[~agree]
-        return found
+        found = np.isfinite(there).all(axis=1)
+        here, there = here[found].astype(np.float32), there[found].astype(np.float32)
+        if len(here) < _FEWEST:
+            return None
+        motion, inliers = _ransac(here, there, len(self._level.basis), self._error)
+        return None if motion is None or inliers.sum() < _FEWEST else motion @ pose
 
     def _followed(self, image: Image, pose: Array) -> tuple[Array, Array]:
         """Return the points under a pose, and where they go, infinite where they are lost."""
         after, ok, _ = cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload]
             self._template,
             self._contrasts(image, pose),
-            self._points + np.float32(self._reach),
+            self._points + np.float32(self._margin),
             None,
             winSize=(15,) * 2,
-            maxLevel=int(np.ceil(np.log2(max(2, self._reach / 8)))),
+            maxLevel=int(np.ceil(np.log2(max(2, self._margin / 8)))),
         )
         to_frame = self._level.to_template.copy()
         to_frame[:2, 2] += to_frame[0, 0] * padding(self._level.smoothing)
         to_frame = pose @ to_frame
-        there = apply_homography(to_frame, after - np.float32(self._reach))
+        there = apply_homography(to_frame, after - np.float32(self._margin))
         return apply_homography(to_frame, self._points), np.where(ok > 0, there, np.inf)
 
     def _contrasts(self, image: Image, pose: Array) -> Image:
-        """Return the image under a pose and the reach about it, in local contrast, 8 bits."""
-        level, reach = self._level, self._reach
+        """Return the image under a pose and the margin about it, in local contrast, 8 bits."""
+        level, margin = self._level, self._margin
         begin = np.eye(3)
-        begin[:2, 2] = padding(level.smoothing) - reach
+        begin[:2, 2] = padding(level.smoothing) - margin
         rows, columns = level.grey.shape
         warp = level.to_image @ pose @ level.to_template @ begin
-        seen, _ = sample(image, warp, (columns + 2 * reach, rows + 2 * reach))
+        seen, _ = sample(image, warp, (columns + 2 * margin, rows + 2 * margin))
         off = seen - cv2.GaussianBlur(seen, (0, 0), 4)
         # A tenth of the template's contrast is noise; the usual contrast is 40 of 255 levels.
         faint = max(level.contrast / 10, TINY) ** 2
@@ -90,15 +87,15 @@ class PointFlow:
         return np.clip(128 + 40 * off / size, 0, 255).astype(np.uint8)
 
 
-def _agreed(
+def _ransac(
     here: Image, there: Image, n: int, error: float
 ) -> tuple[Array | None, NDArray[np.bool_]]:
-    """Return the motion of `n` parameters that most points agree in, and which these are."""
+    """Return the motion of `n` parameters with most inliers, and which these are."""
     if n == len(GENERATORS["translation"]):
         moves = there - here
         near = np.square(moves[:, None] - moves).sum(axis=2) < error**2
-        agree = near[near.sum(axis=1).argmax()]
-        return translate(np.eye(3), moves[agree].mean(axis=0)), agree
+        inliers = near[near.sum(axis=1).argmax()]
+        return translate(np.eye(3), moves[inliers].mean(axis=0)), inliers
     estimate: Any = cv2.estimateAffine2D if n == len(GENERATORS["affine"]) else cv2.findHomography
     options = {"method": cv2.RANSAC, "ransacReprojThreshold": error, "maxIters": 200}
     found, inliers = estimate(here, there, **options)
