@@ -267,7 +267,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "servoing.SimulatedWorkstation": lambda: {
         "render": lambda feature, focus: target(), "jacobian": np.eye(2) * 0.3,
         "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
-        "home": [10.0, 10.0], "drift": [0.1, 0.2], "focus_drive": servoing.Stage(10.0),
+        "home": [10.0, 10.0], "drift": [0.1, 0.2],
     },
     "synthetic._embryo.EmbryoImage.to_pixels": lambda: {"self": egg(), "points": grid() / 10},
     "synthetic._gripper.GripperScene.box": lambda: {

@@ -36,7 +36,6 @@ class Settings:
     controller: Controller | None
     tolerance: float
     step: float | None
-    speed: float | None
     interval: float
     most_frames: int
     most_lost: int
@@ -237,31 +236,19 @@ class Loop:
         self._follower.plan(self.motion.jacobian @ (target - look.position))
 
     def _go(self, row: dict[str, Any], target: Array) -> None:
-        """Send the stage, in legs if there is a speed to keep, and wait until it stands there."""
-        guard, stage, settings = self.guard, self.workstation.stage, self._settings
+        """Send the stage and wait until it stands there."""
+        guard, stage = self.guard, self.workstation.stage
         put(row, "command", target, "um")
         here = np.asarray(guard.call(stage.position), dtype=float)
-        way = float(np.linalg.norm(target - here))
-        legs = 1
-        if settings.speed is not None:
-            if way > settings.speed * settings.timeout:
-                raise EndRun(
-                    f"a move of {way:.3g} µm at {settings.speed:.3g} µm/s takes longer than "
-                    f"{settings.timeout:g} s"
-                )
-            legs = max(1, int(np.ceil(way / (settings.speed * settings.interval))))
-        for leg in range(1, legs + 1):
-            end = self.workstation.clock.now() + (settings.interval if settings.speed else 0.0)
-            guard.call(stage.move_to, here + (target - here) * (leg / legs))
-            guard.settle(self._watch_travel)
-            guard.pause(end - self.workstation.clock.now())
+        guard.call(stage.move_to, target)
+        guard.settle(self._watch_travel)
         arrived = self._watch_travel()
         # A move that the image would not show may be less than an increment of the drive.
         # Before the calibration J is NaN, and every move counts.
         shown = np.linalg.norm(self.motion.jacobian @ (target - here))
-        if shown < _LEAST_CHECKED * settings.tolerance:
+        if shown < _LEAST_CHECKED * self._settings.tolerance:
             return
-        if float(np.linalg.norm(target - arrived)) > 0.5 * way:
+        if np.linalg.norm(target - arrived) > 0.5 * np.linalg.norm(target - here):
             raise EndRun(
                 f"the stage did not go where it was sent: it stands at {np.round(arrived, 2)} µm "
                 f"instead of {np.round(target, 2)} µm"

@@ -92,7 +92,6 @@ def servo(
     controller: Controller | None = None,
     tolerance: float = 0.05,
     step: float | None = None,
-    speed: float | None = None,
     interval: float = 0.1,
     most_frames: int = 50,
     most_lost: int = 3,
@@ -135,17 +134,14 @@ def servo(
         A target is reached within this distance, px.
     step : float, optional
         Longest move between two frames, µm; the travel alone limits it by default.
-    speed : float, optional
-        Largest speed, µm/s: the stage is led in legs that last an `interval` each, so its mean
-        speed over one is no more. By default the drive moves at its own speed.
     interval : float, optional
-        Of a controller, and of a leg, s.
+        Sampling time of the controller, s.
     most_frames : int, optional
         Frames after which a target counts as not reachable.
     most_lost : int, optional
         Frames in a row without the feature that end the run; the stage stands from the first.
     timeout : float, optional
-        Longest time that a device may take to answer, and a move to end at its speed, s.
+        Longest time that a device may take to answer, and a move to end, s.
     progress : callable, optional
         Called with each row of the log, a dict, as it is complete.
 
@@ -211,9 +207,7 @@ def servo(
         controller=controller,
         tolerance=scalar("tolerance", tolerance, above=0),
         step=None if step is None else scalar("step", step, above=0),
-        speed=None if speed is None else scalar("speed", speed, above=0),
-        # No drive takes commands faster, and nobody waits longer for a move.
-        interval=scalar("interval", interval, least=1e-3, most=1e2),
+        interval=scalar("interval", interval, above=0),
         most_frames=whole("most_frames", most_frames, least=1),
         most_lost=whole("most_lost", most_lost, least=1),
         timeout=scalar("timeout", timeout, above=0),

@@ -23,6 +23,10 @@ from microlib.servoing._workstation import Camera, Stage
 Render = Callable[[Array, float], ArrayLike]
 
 
+#: Speed of the focus drive, µm/s.
+_FOCUS_SPEED = 10.0
+
+
 class SimulatedWorkstation:
     """A camera over a stage and a focus drive, in a time that passes only when it is waited for.
 
@@ -47,15 +51,13 @@ class SimulatedWorkstation:
         The feature at the start, px.
     drift : array_like, shape (2,), optional
         How the feature moves while the stage stands, px/s.
-    focus_drive : Stage, optional
-        The model of the focus drive, 10 µm/s by default.
 
     Attributes
     ----------
     camera : object with ``snap()``
         Returns the frame and the time of its exposure.
     stage, focus : objects with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
-        The two axes of the stage and the one of the focus drive, µm.
+        The two axes of the stage and the one of the focus drive, µm; the latter runs at 10 µm/s.
     clock : object with ``now()``, ``sleep(seconds)``
         The virtual time; sleeping moves the drives on.
     feature : ndarray, shape (2,)
@@ -89,17 +91,15 @@ class SimulatedWorkstation:
         rng: np.random.Generator | int,
         home: ArrayLike = (0.0, 0.0),
         drift: ArrayLike = (0.0, 0.0),
-        focus_drive: Stage | None = None,
     ) -> None:
         of_kind("stage", stage, Stage)
         of_kind("camera", camera, Camera)
-        of_kind("focus_drive", focus_drive, Stage, type(None))
         of_kind("render", render, Callable)
         self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
         self.stage = _Drive(stage, 2)
-        self.focus = _Drive(focus_drive or Stage(saturation=10.0), 1)
+        self.focus = _Drive(Stage(saturation=_FOCUS_SPEED), 1)
         self.clock = _VirtualClock([self.stage, self.focus])
         self.camera = SimpleNamespace(snap=self._snap)
         self._render, self._model, self._rng = render, camera, generator("rng", rng)
@@ -144,10 +144,10 @@ class _Drive:
 
     def advance(self, duration: float) -> None:
         """Move on by `duration` s."""
-        reach = self._model.saturation * duration
+        step = self._model.saturation * duration
         way = self._target - self._position
-        near = np.abs(way) <= reach
-        self._position = np.where(near, self._target, self._position + np.sign(way) * reach)
+        near = np.abs(way) <= step
+        self._position = np.where(near, self._target, self._position + np.sign(way) * step)
 
 
 class _VirtualClock:

@@ -44,7 +44,7 @@ def test_jacobian_is_the_derivative_of_the_projection():
 
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 10**6), points=st.integers(1, 3), motions=st.integers(1, 2))
-def test_the_control_minimizes_the_cost(seed, points, motions):
+def test_optimal_control_minimizes_the_one_step_cost(seed, points, motions):
     rng = np.random.default_rng(seed)
     m, n = 2 * points, motions
     jacobian = rng.normal(size=(m, n))
@@ -65,7 +65,7 @@ def test_the_control_minimizes_the_cost(seed, points, motions):
     np.testing.assert_allclose(ours, theirs.x, atol=1e-4 * (1 + np.abs(theirs.x).max()))
 
 
-def test_the_printed_weights_mean_a_dead_beat_in_mm_and_minutes_in_um():
+def test_control_weight_of_the_thesis_is_nearly_dead_beat_in_mm_and_slow_in_um():
     def pole(scale):
         gain = OptimalController(
             scale * JACOBIAN, interval=INTERVAL, feature_weight=(0.9, 0.9),
@@ -78,7 +78,7 @@ def test_the_printed_weights_mean_a_dead_beat_in_mm_and_minutes_in_um():
     assert slow == pytest.approx(35.5, abs=0.2)  # px/µm: a time constant of half a minute
 
 
-def test_ibvs_decays_exponentially_and_compensates_a_drift():
+def test_ibvs_error_decays_exponentially_and_drift_is_compensated():
     rng = np.random.default_rng(0)
     jacobian = rng.normal(size=(4, 3))
     error = jacobian @ rng.normal(size=3)  # reachable
@@ -87,14 +87,14 @@ def test_ibvs_decays_exponentially_and_compensates_a_drift():
     np.testing.assert_allclose(change, -2.5 * error, rtol=1e-10)
 
 
-def test_one_sample_of_delay_is_stable_below_a_gain_of_one():
+def test_loop_with_one_sample_of_delay_is_stable_below_gain_one():
     assert np.abs(loop_poles(0.999, 1.0)).max() < 1 < np.abs(loop_poles(1.001, 1.0)).max()
     assert abs(loop_poles(0.3)[0]) == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.0, 1.4, 2.0])
 @pytest.mark.parametrize("gain", [0.3, 0.7])
-def test_the_simulated_loop_obeys_its_poles(gain, delay):
+def test_simulated_loop_decays_as_its_poles(gain, delay):
     weight = (INTERVAL * JACOBIAN[0, 0]) ** 2 * (1 / gain - 1)  # the L that makes this loop gain
     controller = OptimalController(
         JACOBIAN, interval=INTERVAL, feature_weight=(1.0, 1.0), control_weight=(weight, weight)
@@ -131,7 +131,7 @@ def knowing(saturation=400.0, delay=0.8 * INTERVAL):
     return PredictiveController(JACOBIAN, **given, **WEIGHTS)
 
 
-def test_prediction_removes_the_ringing_of_a_delay():
+def test_predictive_controller_removes_ringing_under_delay():
     rings, calm = (
         loop(one, np.full((80, 2), 50.0), saturation=1e4, start=(0, 0))
         for one in (plain(), knowing(1e4))
@@ -143,7 +143,7 @@ def test_prediction_removes_the_ringing_of_a_delay():
     assert calmed.settling_time == pytest.approx(2 * INTERVAL)
 
 
-def test_prediction_follows_a_noisy_path_closer():
+def test_predictive_controller_has_smaller_error_on_a_noisy_path():
     arc = np.arange(0, 320, 40 * INTERVAL)  # once around a square of 80 px at 40 px/s
     corners = 60 + np.array([[0, 0], [80, 0], [80, 80], [0, 80], [0, 0]])
     path = np.column_stack([np.interp(arc, 80 * np.arange(5), x) for x in corners.T])
@@ -155,7 +155,7 @@ def test_prediction_follows_a_noisy_path_closer():
     assert error(knowing) < 0.5 * error(plain)
 
 
-def test_a_lost_frame_stops_the_one_and_is_bridged_by_the_other():
+def test_lost_frame_stops_optimal_and_is_bridged_by_predictive_controller():
     reference, lost = np.full((4, 2), 30.0), np.full(2, np.nan)
     assert not plain()(1, lost, reference).any()
     ahead = np.outer(np.arange(4.0), [1.0, -2.0])  # what is wanted one sample later
@@ -167,14 +167,14 @@ def test_a_lost_frame_stops_the_one_and_is_bridged_by_the_other():
     assert (bridging(2, lost, reference) > 0).all()
 
 
-def test_a_second_run_is_that_of_a_new_controller():
+def test_second_run_equals_that_of_a_new_controller():
     used, reference = knowing(delay=1.5 * INTERVAL), np.full((30, 2), 5.0)
     loop(used, np.full((30, 2), 300.0), start=(0, 0))
     runs = [loop(one, reference, start=(0, 0)) for one in (used, knowing(delay=1.5 * INTERVAL))]
     np.testing.assert_allclose(runs[0].feature, runs[1].feature, atol=1e-9)
 
 
-def test_prediction_of_several_points_needs_as_many_rows_and_two_velocities():
+def test_predictive_controller_accepts_several_points():
     """Three points that move alike are one point three times: the same command, whatever the
     delay."""
     for delay in (0.0, 0.8, 1.7):

@@ -24,7 +24,7 @@ def check(outcome) -> None:
 
 
 @pytest.mark.parametrize(("fault", "frame"), FAULTS)
-def test_a_fault_ends_the_run_with_the_stage_standing(fault, frame) -> None:
+def test_fault_ends_the_run_and_stops_the_stage(fault, frame) -> None:
     outcome = run_with(fault, frame)
     check(outcome)
     assert outcome.run.still == (fault != "never arrives")
@@ -35,12 +35,12 @@ def test_a_fault_ends_the_run_with_the_stage_standing(fault, frame) -> None:
 
 
 @pytest.mark.parametrize("fault", FEW)
-def test_a_fault_of_the_engine_does_so_too(fault) -> None:
+def test_fault_of_the_engine_ends_the_run_and_stops_the_stage(fault) -> None:
     pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
     check(run_with(fault, 10, engine=True))
 
 
-def test_targets_are_reached_whatever_the_turn_the_mirror_and_the_scale() -> None:
+def test_targets_are_reached_under_rotation_reflection_and_scale() -> None:
     runs = [reach(seed) for seed in range(100, 106)]
     assert all(run["reached"] for run in runs)
     # The tolerance of 0.05 px and what the tracker is wrong.

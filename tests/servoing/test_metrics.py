@@ -7,7 +7,7 @@ from scipy.signal import lti, step
 from microlib.servoing import path_metrics, step_metrics
 
 
-def test_a_first_order_answer_settles_when_the_exponential_does():
+def test_first_order_response_settles_at_the_time_of_its_exponential():
     time = np.linspace(0, 10, 10001)
     position = 3.0 * (1 - np.exp(-time / 1.7))[:, None]
     found = step_metrics(time, position, [3.0], band=0.02)
@@ -16,7 +16,7 @@ def test_a_first_order_answer_settles_when_the_exponential_does():
     assert found.overshoot == 0.0
 
 
-def test_a_second_order_answer_overshoots_by_the_textbook():
+def test_second_order_response_overshoots_by_the_damping_formula():
     damping = 0.4
     time, answer = step(lti([1], [1, 2 * damping, 1]), T=np.linspace(0, 30, 30001))
     found = step_metrics(time, answer[:, None], [1.0])
@@ -26,13 +26,13 @@ def test_a_second_order_answer_overshoots_by_the_textbook():
     assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
 
 
-def test_what_never_settles_says_so():
+def test_step_metrics_report_when_the_response_does_not_settle():
     found = step_metrics([0, 1, 2], [[0.0], [2.0], [0.0]], [1.0])
     assert np.isnan([found.settling_time, found.accuracy, found.precision]).all()
     assert found.overshoot == 1.0
 
 
-def test_path_metrics_are_those_of_the_distances():
+def test_path_metrics_are_mean_std_and_maximum_of_the_distances():
     rng = np.random.default_rng(1)
     error = rng.normal(0, 2.0, (4000, 2))
     found = path_metrics(error + 5.0, np.full((4000, 2), 5.0))

@@ -44,7 +44,7 @@ class Core:
         self.done.append(("load", path))
 
 
-def test_the_stage_is_that_of_the_core() -> None:
+def test_stage_of_micromanager_is_the_xy_stage_of_the_core() -> None:
     core = Core()
     scope = MicroManager(core)
     assert scope.core is core
@@ -63,7 +63,7 @@ def test_the_stage_is_that_of_the_core() -> None:
     assert core.done == []
 
 
-def test_a_frame_is_exposed_half_the_exposure_after_the_call(monkeypatch) -> None:
+def test_time_of_a_frame_is_the_middle_of_its_exposure(monkeypatch) -> None:
     core = Core()
     scope = MicroManager(core)
     core.done.clear()
@@ -75,7 +75,7 @@ def test_a_frame_is_exposed_half_the_exposure_after_the_call(monkeypatch) -> Non
     assert core.done == [("getExposure",), ("snapImage",), ("getImage",)]
 
 
-def test_only_a_shutter_that_is_missing_is_switched_off_and_no_core_refused() -> None:
+def test_autoshutter_is_switched_off_only_without_a_shutter_device() -> None:
     for shutter in ("", "Lamp"):
         core = Core(shutter=shutter)
         MicroManager(core)
@@ -92,7 +92,7 @@ def test_only_a_shutter_that_is_missing_is_switched_off_and_no_core_refused() ->
             MicroManager(path)
 
 
-def test_a_configuration_is_loaded_into_a_new_core(monkeypatch, tmp_path: Path) -> None:
+def test_configuration_file_is_loaded_into_a_new_core(monkeypatch, tmp_path: Path) -> None:
     module = types.ModuleType("pymmcore_plus")
     module.CMMCorePlus = Core  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "pymmcore_plus", module)

@@ -19,7 +19,7 @@ def looks(rng, covariance, *, excess=1.0, count=9):
 
 
 @pytest.mark.parametrize("excess", [1.0, 4.0])
-def test_the_covariance_is_that_of_the_errors(excess):
+def test_jacobian_covariance_matches_scatter_of_repeated_fits(excess):
     rng = np.random.default_rng(1)
     covariance = np.array([[4e-4, 2e-4], [2e-4, 9e-4]])
     every = [fit_motion(*looks(rng, covariance, excess=excess)) for _ in range(400)]
@@ -39,7 +39,7 @@ def test_the_covariance_is_that_of_the_errors(excess):
     assert values.max() < high * 1.1
 
 
-def test_frames_that_know_more_count_for_more():
+def test_jacobian_fit_weights_frames_by_their_covariance():
     rng = np.random.default_rng(2)
     time, position, feature, covariance = looks(rng, 1e-6 * np.eye(2))
     weights = np.array(covariance)
@@ -49,13 +49,13 @@ def test_frames_that_know_more_count_for_more():
     np.testing.assert_allclose(found.jacobian, JACOBIAN, atol=2e-4)
 
 
-def test_an_axis_that_never_moved_leaves_the_jacobian_open():
+def test_jacobian_covariance_is_infinite_if_an_axis_never_moved():
     time, position, feature, covariance = looks(np.random.default_rng(4), 1e-4 * np.eye(2))
     position[:, 1] = 0.0
     assert fit_motion(time, position, feature, covariance).share == float("inf")
 
 
-def test_looks_that_agree_too_well_are_no_more_certain_than_they_say():
+def test_jacobian_covariance_is_not_reduced_by_a_misfit_below_one():
     exact, noisy = (
         fit_motion(*looks(np.random.default_rng(3), 1e-3 * np.eye(2), excess=excess))
         for excess in (1e-6, 1.0)
@@ -66,6 +66,6 @@ def test_looks_that_agree_too_well_are_no_more_certain_than_they_say():
     np.testing.assert_allclose(exact.covariance * enlarged, noisy.covariance, rtol=1e-9, atol=1e-18)
 
 
-def test_the_share_is_three_deviations_over_what_is_least_done():
+def test_share_is_three_sigma_over_smallest_singular_value():
     motion = StageMotion(np.diag([2.0, -0.5]), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-4, np.zeros(2), 1)
     assert motion.share == pytest.approx(3 * 0.02 / 0.5)

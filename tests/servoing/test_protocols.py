@@ -25,7 +25,7 @@ def wait(scope, mover) -> None:
 
 
 @BOTH
-def test_a_move_starts_goes_on_and_arrives(kind) -> None:
+def test_stage_reports_a_move_until_it_arrives(kind) -> None:
     scope, truth = workstation(kind, stage=Stage(saturation=500.0))
     scope.stage.move_to(np.array([50.0, -20.0]))
     assert scope.stage.moving()
@@ -39,7 +39,7 @@ def test_a_move_starts_goes_on_and_arrives(kind) -> None:
 
 
 @BOTH
-def test_stop_ends_a_move_where_it_is(kind) -> None:
+def test_stop_ends_a_move_at_the_current_position(kind) -> None:
     scope, _ = workstation(kind, stage=Stage(saturation=100.0))
     scope.stage.move_to(np.array([300.0, 0.0]))
     scope.clock.sleep(0.1)
@@ -51,7 +51,7 @@ def test_stop_ends_a_move_where_it_is(kind) -> None:
     np.testing.assert_array_equal(scope.stage.position(), where)
 
 
-def test_drift_and_travel_of_the_simulation() -> None:
+def test_simulated_feature_drifts_and_stage_stays_within_travel() -> None:
     scope, _ = workstation(stage=Stage(saturation=50.0, step=0.0, travel=20.0), drift=(1.0, -2.0))
     scope.stage.move_to(np.array([2.0, -400.0]))
     scope.clock.sleep(0.2)
@@ -64,7 +64,7 @@ def test_drift_and_travel_of_the_simulation() -> None:
     assert not scope.stage.moving()
 
 
-def test_exposures_are_an_interval_apart_and_frames_a_latency_late() -> None:
+def test_exposures_are_one_interval_apart_and_frames_return_after_the_latency() -> None:
     scope, _ = workstation(camera=Camera(interval=0.25, latency=0.1))
     times = [scope.camera.snap()[1] for _ in range(3)]
     np.testing.assert_allclose(times, [0.0, 0.25, 0.5])

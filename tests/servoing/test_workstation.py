@@ -20,12 +20,12 @@ def controller():
     return OptimalController(JACOBIAN, interval=INTERVAL, **weights)
 
 
-def test_positions_come_in_increments():
+def test_stage_positions_are_multiples_of_its_step():
     quantized = Stage(saturation=1.0).rounded(np.array([0.024, 0.026, -1.31]))
     np.testing.assert_allclose(quantized, [0.0, 0.05, -1.3], atol=1e-12)
 
 
-def test_a_seed_does_for_a_generator_and_shakes_the_image_by_the_jitter():
+def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
     def shaken(rng):
         loop = {"stage": Stage(saturation=1.0), "camera": Camera(interval=0.5, jitter=0.3)}
         still = lambda *_: np.zeros(2)  # noqa: E731
@@ -39,7 +39,7 @@ def test_a_seed_does_for_a_generator_and_shakes_the_image_by_the_jitter():
     np.testing.assert_allclose(run.time[[0, 1, -1]], [0.0, 0.5, 999.5])
 
 
-def test_refuses_a_reference_beyond_the_travel_and_a_command_that_is_none():
+def test_simulate_rejects_references_beyond_travel_and_invalid_commands():
     loop = {"jacobian": np.eye(2), "stage": Stage(1.0), "camera": Camera(0.1), "rng": 0}
     with pytest.raises(ValueError, match="reference must lie within"):
         simulate(controller(), np.full((3, 2), 9e4), start=(0, 0), **loop)

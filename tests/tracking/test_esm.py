@@ -50,7 +50,7 @@ def test_homographies_are_generated_with_unit_determinant():
 
 
 @pytest.mark.parametrize("motion", list(GENERATORS))
-def test_a_fit_undoes_a_small_warp_of_its_own_group(motion):
+def test_alignment_inverts_a_small_warp_of_its_group(motion):
     image = texture(1)
     one = level_of(motion, image, smoothing=0.0)
     rng = np.random.default_rng(2)
@@ -64,7 +64,7 @@ def test_a_fit_undoes_a_small_warp_of_its_own_group(motion):
     assert result.correlation > 0.99999
 
 
-def test_the_step_is_of_second_order():
+def test_esm_step_is_of_second_order():
     # Whole pixels, so that interpolation takes no part, on a texture much coarser than the steps.
     image = mixed_texture((90, 100), np.random.default_rng(3), scales=6.0).astype(np.float32)
     one = level_of("translation", image, smoothing=0.0)
@@ -79,7 +79,7 @@ def test_the_step_is_of_second_order():
     assert errors[1] < errors[0] / 6
 
 
-def test_half_pixel_keeps_the_pixels_and_meets_a_sinusoid_between_them():
+def test_half_pixel_samples_agree_with_a_sinusoid():
     x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
     wave = lambda x, y: np.sin(0.9 * x + 0.3) * np.cos(0.7 * y)  # noqa: E731
     fine = half_pixel(wave(x, y).astype(np.float32))
@@ -91,7 +91,7 @@ def test_half_pixel_keeps_the_pixels_and_meets_a_sinusoid_between_them():
 
 
 @pytest.mark.parametrize("rounds", [False, True])
-def test_patches_are_bilinear_samples_where_they_are_told(rounds, monkeypatch):
+def test_patches_are_bilinear_samples_at_exact_places(rounds, monkeypatch):
     """By OpenCV's own sampler, if it does not round, and by the one in its place."""
     if not rounds and _sampling._ROUNDS:
         pytest.skip("this OpenCV rounds places to 1/32 px")

@@ -37,7 +37,7 @@ def hide(image, corner, size, seed):
     return image
 
 
-def test_noise_is_found_behind_a_texture_and_saturation_by_its_plateau():
+def test_noise_is_estimated_on_texture_and_saturation_from_its_plateau():
     smooth = mixed_texture((200, 200), default_rng(0), scales=6.0, std=30.0)
     for sigma in (1.0, 4.0):
         noisy = smooth + default_rng(1).normal(0, sigma, smooth.shape)
@@ -50,7 +50,7 @@ def test_noise_is_found_behind_a_texture_and_saturation_by_its_plateau():
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_a_template_hidden_for_a_third_is_found_and_its_hidden_part_named(motion):
+def test_template_occluded_by_a_third_is_found_with_its_occlusion_mask(motion):
     by = (8.3, -6.6)
     for seed in range(3):
         first = scene(seed)
@@ -71,7 +71,7 @@ def blobs(seed):
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_what_is_not_the_template_is_lost(motion):
+def test_track_is_lost_where_the_template_is_absent(motion):
     # Without the verdict half of the blobs are believed: any can be warped onto another.
     for seed in range(3):
         first = scene(seed)
@@ -107,7 +107,7 @@ def spoil(image, condition, box, rng):
 
 
 @pytest.mark.parametrize("light", ["ramp", "gamma", "blur", "glare"])
-def test_another_light_moves_nothing(light):
+def test_illumination_change_does_not_move_the_track(light):
     by = np.array([3.4, 2.7])
     for seed in range(2):
         first = scene(seed)
@@ -123,7 +123,7 @@ def test_another_light_moves_nothing(light):
     ("size", "motion"), [(24, "homography"), (90, "translation"), (150, "homography")]
 )
 @pytest.mark.parametrize("condition", ["clean", "hidden", "glare", "gone"])
-def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, condition, motion):
+def test_template_of_any_size_is_found_or_lost_but_never_wrong(size, condition, motion):
     rng, by = default_rng(size), np.array([3.3, -2.6])
     first = mixed_texture((290, 290), rng, scales=(1.5, 3.0, 8.0), std=40.0)
     box = (70, 65, size, size)
@@ -139,7 +139,7 @@ def test_a_template_of_any_size_is_found_or_lost_and_never_somewhere_else(size, 
 
 
 @pytest.mark.parametrize("condition", ["clean", "glare"])
-def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condition):
+def test_track_does_not_depend_on_dtype_and_memory_order(condition):
     rng = default_rng(7)
     first = scene(7)
     second = spoil(translated(first, (2.4, 1.7)), condition, (72, 66, 50, 50), rng)
@@ -160,7 +160,7 @@ def test_depth_of_the_grey_values_and_their_order_in_memory_change_nothing(condi
         np.testing.assert_allclose(track.covariance, expected.covariance, atol=limit)
 
 
-def test_a_lost_template_is_found_anywhere_in_the_frame():
+def test_lost_template_is_found_anywhere_in_the_frame():
     rng = default_rng(3)
     texture = mixed_texture((50, 50), rng, scales=(1.5, 4.0), std=40.0)
     ground = mixed_texture((300, 400), rng, scales=(2.0, 6.0), std=40.0)
@@ -182,7 +182,7 @@ def test_a_lost_template_is_found_anywhere_in_the_frame():
 
 
 @pytest.mark.parametrize("by", [(25, -14), (23, 9), (-18, 17)])
-def test_a_lost_fine_texture_is_found_in_half_the_light(by):
+def test_lost_fine_texture_is_found_at_half_the_brightness(by):
     """Between the large pixels of the level at which its place is searched."""
     rng = default_rng(1)
     image = mixed_texture((180, 190), rng, scales=1.2, std=40.0)
@@ -197,7 +197,7 @@ def test_a_lost_fine_texture_is_found_in_half_the_light(by):
 
 
 @pytest.mark.parametrize("condition", ["ramp", "hidden"])
-def test_errors_are_of_the_size_that_is_stated(condition):
+def test_corner_errors_agree_with_the_stated_covariance(condition):
     scores = []
     for seed in range(28):
         rng = default_rng(seed)
@@ -213,7 +213,7 @@ def test_errors_are_of_the_size_that_is_stated(condition):
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
-def test_the_sandwich_is_the_spread_of_fits_to_spread_noise():
+def test_sandwich_covariance_matches_scatter_of_fits_to_correlated_noise():
     rng = default_rng(0)
     shape = (40, 40)
     v, u = np.mgrid[:40, :40] / 20.0 - 1
@@ -248,7 +248,7 @@ def twins(seen, step=1):
 
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("step", [1, 3])
-def test_a_hidden_part_is_not_replaced_by_an_identical_one(filtered, step):
+def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step):
     seen = [k < 12 or k >= 20 for k in range(26)]
     film = list(twins(seen, step))
     drive = {"interval": 0.03, "acceleration": 500.0, "noise": 0.1}
@@ -265,7 +265,7 @@ def test_a_hidden_part_is_not_replaced_by_an_identical_one(filtered, step):
 
 
 @pytest.mark.parametrize("share", [0.55, 0.7])
-def test_a_periodic_texture_that_moves_by_most_of_a_period_is_ambiguous(share):
+def test_periodic_texture_moved_by_most_of_a_period_is_ambiguous(share):
     tile = mixed_texture((20, 20), default_rng(2), scales=2.0, std=40.0)
     plane = np.tile(tile, (10, 14))
     by = round(20 * share)
@@ -278,7 +278,7 @@ def test_a_periodic_texture_that_moves_by_most_of_a_period_is_ambiguous(share):
     assert (track.lost, track.reason) == (True, "ambiguous")
 
 
-def test_growing_saturation_is_followed():
+def test_template_is_tracked_under_growing_saturation():
     """The noise is estimated where nothing is saturated; else it is zero, and nothing agrees."""
     image = 0.8 * scene(1) + 20
     tracker = ESMTracker(camera_frame(image, default_rng(0), noise=2.0), BOX, "translation")
@@ -290,7 +290,7 @@ def test_growing_saturation_is_followed():
 
 
 @pytest.mark.parametrize("box", [(60, 60, 90, 30), (60, 60, 30, 90), (50, 60, 150, 40)])
-def test_hidden_pixels_of_an_oblong_box_are_in_their_place(box):
+def test_occlusion_mask_of_an_oblong_box_is_in_place(box):
     x, y, width, height = box
     first = mixed_texture((200, 260), default_rng(4), scales=(1.5, 3.0, 8.0), std=40.0)
     second = np.roll(first, (2, 3), (0, 1))

@@ -23,7 +23,7 @@ def peer(position: np.ndarray, covariance: np.ndarray) -> cv2.KalmanFilter:
     return kalman
 
 
-def test_follows_opencv_step_by_step():
+def test_kalman_filter_agrees_with_opencv():
     rng = np.random.default_rng(3)
     ours = KalmanFilter((3.0, -2.0), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     theirs = peer(ours.position, ours.covariance)
@@ -41,7 +41,7 @@ def test_follows_opencv_step_by_step():
     np.testing.assert_allclose(predicted, wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_two_frames_tell_the_velocity():
+def test_velocity_is_known_after_two_frames():
     kalman = KalmanFilter((1, -2), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     kalman.predict()
     kalman.update((1 + 240 * INTERVAL, -2 - 90 * INTERVAL))
@@ -49,7 +49,7 @@ def test_two_frames_tell_the_velocity():
     np.testing.assert_allclose(kalman.velocity, (240, -90), rtol=1e-5)
 
 
-def test_the_covariance_is_the_spread_of_the_errors():
+def test_kalman_covariance_matches_scatter_of_the_errors():
     rng = np.random.default_rng(5)
     errors = []
     for _ in range(200):
@@ -67,7 +67,7 @@ def test_the_covariance_is_the_spread_of_the_errors():
     assert spread == pytest.approx(np.sqrt(kalman.covariance[0, 0]), rel=0.14)
 
 
-def test_a_tracker_seeks_a_hidden_part_where_the_filter_expects_it():
+def test_lost_template_is_searched_where_the_filter_predicts_it():
     way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
     frames = texture_sequence(way, np.random.default_rng(0), size=40)
     middle = way[0] + 19.5

@@ -13,7 +13,7 @@ from microlib.tracking import ESMTracker, KalmanFilter
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_a_stored_tracker_goes_on_where_it_stopped(motion: str) -> None:
+def test_pickled_tracker_continues_as_the_original(motion: str) -> None:
     """With its filter, what it knows of the light and the noise, and the place it looks next."""
     rng = np.random.default_rng(3)
     scene = gripper_scene(rng, pixel_size=6.23)

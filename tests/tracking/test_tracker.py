@@ -40,19 +40,19 @@ def corner_errors(motion, distance, warp, trials):
         ("homography", "shift", 15.0, 0.93),
     ],
 )
-def test_reaches_as_far_as_promised(motion, warp, distance, least):
+def test_convergence_range_is_at_least_the_documented_one(motion, warp, distance, least):
     errors = corner_errors(motion, distance, warp, 16)
     assert np.mean(errors < 1.0) >= least
     assert (errors[errors >= 1.0] == np.inf).all()  # what is not found is called lost
 
 
-def test_steps_are_counted_in_both_resolutions():
+def test_iterations_of_both_levels_are_counted():
     pair = warped_pair(0, 0.2, warp="shift")
     assert ESMTracker(pair.first, pair.box, "affine").track(pair.second).iterations >= 2
 
 
 @pytest.mark.parametrize("distance", [0.5, 3.0])
-def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
+def test_translation_error_is_below_a_hundredth_of_a_pixel(distance):
     errors = corner_errors("translation", distance, "shift", 12)
     # The limit asked for; measured 0.004, where bilinear interpolation alone would leave 0.017.
     assert np.sqrt(np.mean(errors**2)) <= 0.015
@@ -66,7 +66,7 @@ def test_translation_is_found_to_a_hundredth_of_a_pixel(distance):
         ("homography", cv2.MOTION_HOMOGRAPHY, "homography"),
     ],
 )
-def test_agrees_with_opencv_and_is_closer_to_the_truth(motion, mode, warp):
+def test_track_agrees_with_ecc_and_is_more_accurate(motion, mode, warp):
     ours, theirs = [], []
     for seed in range(8):
         pair = warped_pair(100 + seed, 1.0, warp=warp)
@@ -97,7 +97,7 @@ def test_agrees_with_opencv_and_is_closer_to_the_truth(motion, mode, warp):
     assert np.mean(ours) < 0.7 * np.mean(theirs)
 
 
-def test_a_template_may_leave_the_image_for_a_part():
+def test_template_partly_outside_the_image_is_tracked():
     texture = mixed_texture((150, 150), np.random.default_rng(4), scales=2.0)
     rng = np.random.default_rng(5)
     tracker = ESMTracker(
@@ -120,7 +120,7 @@ def scene_and_tracker(motion="translation"):
     return scene, tracker, rng
 
 
-def test_a_gripper_is_tracked_over_its_ground_without_drift():
+def test_gripper_is_tracked_over_its_background_without_drift():
     scene, tracker, rng = scene_and_tracker("affine")
     for k in range(0, 100, 2):
         truth = 40 * np.array([np.sin(k / 25), np.cos(k / 25) - 1])
@@ -132,7 +132,7 @@ def test_a_gripper_is_tracked_over_its_ground_without_drift():
     assert np.linalg.norm(track.center - middle - truth) < 0.2
 
 
-def test_a_jump_along_the_edges_of_the_jaws_is_not_taken_for_none():
+def test_jump_along_the_edges_of_the_jaws_is_tracked():
     # Two bright bars correlate with themselves at any shift along them; only the grain tells.
     rng = np.random.default_rng(10)
     scene = gripper_scene(rng, pixel_size=1.55)
@@ -146,7 +146,7 @@ def test_a_jump_along_the_edges_of_the_jaws_is_not_taken_for_none():
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_occlusion_and_cut_are_lost_and_the_return_is_found(motion):
+def test_track_is_lost_under_full_occlusion_and_found_afterwards(motion):
     scene, tracker, rng = scene_and_tracker(motion)
     before = tracker.track(scene.frame((5, 5), rng))
     assert not before.lost
@@ -167,7 +167,7 @@ def test_occlusion_and_cut_are_lost_and_the_return_is_found(motion):
     np.testing.assert_allclose(found.center - before.center, (9, 12), atol=0.2)
 
 
-def test_a_target_that_left_is_out_of_view():
+def test_reason_is_out_of_view_when_the_template_has_left():
     texture = mixed_texture((100, 200), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=500.0, noise=0.1)
     tracker = ESMTracker(texture, (40, 20, 50, 50), kalman=kalman)
@@ -184,7 +184,7 @@ def test_a_target_that_left_is_out_of_view():
     kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
     motion=st.sampled_from(["translation", "affine", "homography"]),
 )
-def test_no_frame_whatever_breaks_the_tracker(seed, kind, motion):
+def test_arbitrary_frames_give_a_track_or_a_loss(seed, kind, motion):
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[:80, :90]
     frames = {
@@ -201,7 +201,7 @@ def test_no_frame_whatever_breaks_the_tracker(seed, kind, motion):
     assert not tracker.track(IMAGE).lost
 
 
-def test_follows_a_fast_square_over_another_texture():
+def test_fast_square_over_a_textured_background_is_tracked():
     for seed in range(4):
         rng = np.random.default_rng(seed)
         angle = 500.0 * INTERVAL / 80 * np.arange(30) + rng.uniform(0, 2 * np.pi)
@@ -233,12 +233,12 @@ def test_follows_a_fast_square_over_another_texture():
         (CHECKS, (10, 10, 40, 40), {}, "details of more than a px"),
     ],
 )
-def test_refuses_a_template_that_cannot_be_tracked(image, box, options, message):
+def test_templates_without_texture_are_rejected(image, box, options, message):
     with pytest.raises(ValueError, match=message):
         ESMTracker(image, box, **options)
 
 
-def test_refuses_a_frame_of_another_kind():
+def test_frames_of_another_shape_are_rejected():
     tracker = ESMTracker(IMAGE, (20, 20, 40, 40))
     with pytest.raises(ValueError, match="frame must have shape"):
         tracker.track(IMAGE[:-1])
@@ -248,7 +248,7 @@ def test_refuses_a_frame_of_another_kind():
         tracker.track(np.full_like(IMAGE, np.nan))
 
 
-def test_a_box_may_touch_each_border_of_the_image():
+def test_box_may_touch_each_border_of_the_image():
     image = mixed_texture((80, 90), np.random.default_rng(1)).astype(np.uint8)
     for x, y in ((0, 0), (90 - 40, 0), (0, 80 - 40), (90 - 40, 80 - 40)):
         track = ESMTracker(image, (x, y, 40, 40)).track(image)
@@ -259,7 +259,7 @@ def test_a_box_may_touch_each_border_of_the_image():
             ESMTracker(image, box)
 
 
-def test_color_is_followed_by_its_luminance():
+def test_color_frames_are_tracked_by_their_luminance():
     rng = np.random.default_rng(2)
     color = np.stack([IMAGE, mixed_texture(IMAGE.shape, rng), IMAGE[::-1]], axis=-1)
     grey = color @ [0.299, 0.587, 0.114]  # Rec. 601
@@ -271,7 +271,7 @@ def test_color_is_followed_by_its_luminance():
         assert (track.gain, track.correlation) == pytest.approx((1.0, 1.0), abs=1e-3)
 
 
-def test_a_disturbance_by_rounding_changes_no_result_by_more_than_the_last_step():
+def test_rounding_errors_change_no_pose_by_more_than_the_last_step():
     # Of one part in 10¹⁵, as another processor makes it: in the pose where the search begins.
     rng = np.random.default_rng(4)
     frames = [
@@ -299,7 +299,7 @@ def film(lost=()):
     return frames, path
 
 
-def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
+def test_track_all_returns_a_table_with_empty_rows_for_lost_frames():
     frames, path = film(lost=[4])
     options = {"motion": "translation", "rate": 20.0, "pixel_size": 1.5}
     table = track_all(iter(frames), (60, 60, 49, 49), **options)
@@ -317,7 +317,7 @@ def test_a_film_becomes_a_table_and_a_lost_frame_an_empty_row():
     np.testing.assert_allclose(np.delete(found, 4, 0), np.delete(truth, 4, 0), atol=0.05)
 
 
-def test_a_film_that_fails_late_keeps_its_rows():
+def test_track_all_keeps_rows_before_an_unreadable_frame():
     def broken():
         yield from film()[0][:3]
         raise OSError("the film ends at frame 3 of 8")
@@ -329,7 +329,7 @@ def test_a_film_that_fails_late_keeps_its_rows():
         assert table.attrs["error"].startswith("tracked 3 frames")
 
 
-def test_a_film_is_predicted_by_the_filter_from_its_second_frame():
+def test_kalman_filter_predicts_from_the_second_frame_of_a_film():
     frames, _ = film()
     box, drive = (60, 60, 49, 49), {"interval": 0.05, "acceleration": 1000.0, "noise": 0.1}
     kalman, other = KalmanFilter((84, 84), **drive), KalmanFilter((84, 84), **drive)
