@@ -92,6 +92,21 @@ def test_compendium_and_benchmarks_import_public_names_only(path: Path) -> None:
     assert not inside or (path.parent.name == "benchmarks" and path.stem in OF_PARTS), inside
 
 
+#: Packages with what goes beyond the thesis' own method, and the file of the core that uses each.
+EXTENSIONS = {"focus": ("multiscale", "_depth.py")}
+
+
+@pytest.mark.parametrize("room", EXTENSIONS)
+def test_a_core_refers_to_its_extension_in_one_place(room: str) -> None:
+    extension, face = EXTENSIONS[room]
+    users = {
+        path.name
+        for path in (PACKAGE / room).glob("*.py")
+        if any(name.startswith(f"microlib.{room}.{extension}") for name in imported(path))
+    }
+    assert users == {face}
+
+
 def test_imports_have_no_cycle() -> None:
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 

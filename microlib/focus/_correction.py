@@ -198,7 +198,8 @@ def _plane_shift(
         )
         gaps -= value[top + reach : top + reach + len(band), reach : reach + cols]
         # Tukey's biweight of the differences in jumps, times the mass.
-        biweight = np.maximum(1 - gaps * gaps, 0)
+        biweight = gaps * gaps
+        np.maximum(np.subtract(1, biweight, out=biweight), 0, out=biweight)
         biweight *= biweight
         weights *= biweight
         gaps *= weights

@@ -90,24 +90,27 @@ def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
 
 def warn_of_changes(frames: Sequence[Image]) -> None:
     """Warn if illumination or position change from frame to frame, which registration corrects."""
-    if len(frames) < 4 or min(frames[0].shape) < 64:  # too few or too small to tell
+    count = len(frames)
+    if count < 4 or min(frames[0].shape) < 64:  # too few or too small to decide
         return
-    # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
-    side = min(2 ** int(np.log2(min(frames[0].shape))), 256)
-    small = [
-        cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA).astype(np.float32) for f in frames
-    ]
-    level = np.log(np.maximum([float(frame.mean()) for frame in small], TINY))
     # Defocus changes the light smoothly, which third differences suppress.
-    flicker, moves = float(np.median(np.abs(np.diff(level, 3)))), []
-    for k in (len(small) - 1) * np.arange(1, 4) // 4:
-        shift, peak = cv2.phaseCorrelate(small[k], small[k + 1])
-        move = float(np.hypot(shift[0], shift[1]))
-        moves.append(move if peak > 0.4 and move < 16 else 0.0)  # of noise it may be any
+    level = np.log(np.maximum([cv2.mean(frame)[0] for frame in frames], TINY))
+    flicker = float(np.median(np.abs(np.diff(level, 3))))
+    pairs = (frames[k : k + 2] for k in ((count - 1) * n // 4 for n in (1, 2, 3)))
     # Light that scatters by 2 % gives 0.06; at rest one of the moves stays below 0.2 px.
-    if flicker > 0.06 or min(moves) > 0.25:
+    if flicker > 0.06 or all(_motion(*pair) > 0.25 for pair in pairs):
         what = "light" if flicker > 0.06 else "position"
         warnings.warn(
-            f"frames change in {what} from one to the next: register=True (--register) undoes it",
+            f"frames change in {what} from one to the next: register=True (--register) corrects it",
             stacklevel=3,
         )
+
+
+def _motion(first: Image, second: Image) -> float:
+    """Return the motion between two frames, px of a reduced frame; 0 if they do not correlate."""
+    # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
+    side = min(2 ** int(np.log2(min(first.shape))), 256)
+    small = [cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA) for f in (first, second)]
+    (x, y), peak = cv2.phaseCorrelate(*(image.astype(np.float32) for image in small))
+    motion = float(np.hypot(x, y))
+    return motion if peak > 0.4 and motion < 16 else 0.0

@@ -8,9 +8,12 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian
+from microlib.focus._measures import MEASURES
 from tests.scenes import straight_step, tilted_plane
 
 #: µm between frames in most stacks here, and blur per µm so that a step out of focus adds 1 px.
+#: All measures that have a name.
+NAMES = ("multiscale", *MEASURES)
 STEP = 25.0
 POSITIONS = STEP * np.arange(11)
 SHAPE = (96, 96)
@@ -232,10 +235,7 @@ def test_peaks_at_the_ends_are_flagged():
         assert result.depth[known].max() <= POSITIONS[-1] + STEP / 2 + 1e-3
 
 
-MEASURES = ("multiscale", "sml")
-
-
-@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize(("dtype", "drift"), [("u1", 0), ("u1", 5), ("u2", 5), ("f4", 5)])
 def test_nothing_to_focus_on_gives_no_depth(measure, dtype, drift):
     """Nor does a change of light alone."""
@@ -257,7 +257,7 @@ def test_noise_without_texture_gives_no_depth(count):
     assert np.quantile(plain.confidence, 0.9) < 0.3  # it keeps some depths, and does not trust them
 
 
-@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize("count", [3, 7, 12])
 def test_one_picture_many_times_has_no_depth(measure, count):
     """Nor has the noise around it, whatever the picture shows and wherever its best frame is."""
@@ -277,7 +277,7 @@ def test_half_a_scene_without_texture_gets_no_depth_from_noise():
     texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
     texture[:, 60:] = 128
     stack = render(np.full(texture.shape, 125.0), texture=texture, noise=3.0)
-    for measure in MEASURES:
+    for measure in NAMES:
         depth = depth_from_focus(stack, POSITIONS, measure=measure).depth
         assert np.isfinite(depth[10:-10, 10:50]).mean() > 0.99
         # Blur carries light of the textured half 10 px and more beyond its edge.
@@ -329,7 +329,7 @@ def test_more_than_256_frames_are_counted_right():
             {"frames": [np.zeros((9, 9)), np.zeros((9, 8))] * 2},
             r"frames\[1\] must be float64 of shape",
         ),
-        ({"measure": "sharpness"}, "measure must be one of multiscale, sml, got 'sharpness'"),
+        ({"measure": "sharpness"}, f"measure must be one of {', '.join(NAMES)}, got 'sharpness'"),
         ({"measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
         ({"measure": lambda frame: frame - 1.0}, r"measure\(frame\) must be zero or positive"),
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),

@@ -17,6 +17,7 @@ from microlib.focus import (
     smooth_depth,
     sum_modified_laplacian,
 )
+from microlib.focus._measures import MEASURES
 from tests.laws import (
     NUMBER,
     SAME,
@@ -91,7 +92,7 @@ def test_law_holds(law, name):
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
-    for measure in ("multiscale", "sml"):
+    for measure in ("multiscale", *MEASURES):
         plain = depth_from_focus(STACK, Z, measure=measure).depth
         seen = [np.ascontiguousarray(view.image(frame)) for frame in STACK]
         off = np.abs(depth_from_focus(seen, Z, measure=measure).depth - view.image(plain))

@@ -130,7 +130,7 @@ def peak_width(tiles: Sequence[Image]) -> float:
     for tile in tiles:
         # Fine detail, as coarse texture has wide peaks of its own; averaged over 2 px, so that
         # noise does not choose the highest frame.
-        seconds = np.add(*abs_second_derivatives(tile.astype(np.float32), 0.8))
+        seconds = np.add(*abs_second_derivatives(tile, 0.8))
         profiles.append(_inner(blur(seconds, 2.0))[..., ::4, ::4].ravel())
     above = np.array(profiles)
     above -= np.percentile(above, 20, axis=0)
@@ -144,7 +144,7 @@ def noise_level(tiles: Image) -> float:
 
     No less than the rounding to whole grey levels makes, or the digits of float32.
     """
-    seconds = np.add(*abs_second_derivatives(tiles.astype(np.float32), 0.5))
+    seconds = np.add(*abs_second_derivatives(tiles, 0.5))
     quiet = float(np.percentile(_inner(blur(seconds, 3.0)), 5)) / noise_gain(0.5)
     rounding = np.sqrt(1 / 12) if tiles.dtype.kind == "u" else 0.0
     digits = 1e-5 * float(np.abs(tiles).max())

@@ -74,7 +74,7 @@ def multiscale_depth(
     height[height < 2 * settings.jump] = 0
     # 0.2 to 0.3 of the height on drawn texture, 0.5 where the near side hides the far one, 0.5 to
     # 0.8 on photographs.
-    error = np.hypot(doubled(refined.error, full.shape), np.float32(0.28) * height)
+    error = cv2.magnitude(doubled(refined.error, full.shape), np.float32(0.28) * height)
     here = slice(shape[0]), slice(shape[1])
     return _depth_map(depth[here], error[here], fits, axis)
 
@@ -87,18 +87,20 @@ def describe_axis(tiles: Sequence[Image], positions: Array, settings: Settings) 
 
 def _depth_map(depth: NDArray, error: NDArray, fits: Fits, axis: Axis) -> DepthMap:
     """Return depth and error in µm, without the bias of asymmetric peaks, and the frame numbers."""
-    low, high = axis.positions.min(), axis.positions.max()
+    low, high = np.float32(axis.positions.min()), np.float32(axis.positions.max())
+    slope, constant = (np.float32(value) for value in axis.asymmetry)
     depth = axis.micrometers(depth)
-    bias = np.polyval(axis.asymmetry, depth).astype(np.float32)
-    depth = np.clip(depth - bias, low, high).astype(np.float32)
+    bias = slope * depth + constant
+    # A quarter of the bias remains at most where it changes along the axis.
+    error = cv2.magnitude(error * np.float32(axis.spacing), bias / 4)
+    depth = np.clip(depth - bias, low, high)
     best = doubled(fits.best, depth.shape, cv2.INTER_NEAREST)
     order = np.argsort(axis.positions)
     nearest = np.rint(np.interp(depth, axis.positions[order], order))
     middle = (axis.ends[:-1] + axis.ends[1:]) // 2
     return DepthMap(
         depth=depth,
-        # A quarter of the bias remains at most where it changes along the axis.
-        uncertainty=np.hypot(error * np.float32(axis.spacing), bias / 4),
+        uncertainty=np.asarray(error, np.float32),
         frame=np.where(np.isfinite(depth), nearest, middle[best]).astype(np.int32),
         at_end=(best == 0) | (best == len(axis.steps) - 1),
         spacing=axis.spacing,

@@ -151,7 +151,10 @@ def _fit(
         highest = np.maximum(np.minimum(center + np.float32(within), last), lowest)
     with np.errstate(all="ignore"):
         for _ in range(2):
-            weight = np.maximum(1 - ((offset - center) * inverse_width) ** 2, 0)
+            weight = offset - center
+            weight *= inverse_width
+            weight *= weight
+            np.maximum(np.subtract(1, weight, out=weight), 0, out=weight)
             weight *= weight
             weight *= power
             vertex, curvature = _parabola(weight, offset, log)

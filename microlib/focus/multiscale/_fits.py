@@ -143,7 +143,8 @@ def _track(
         found = measure(frame, 2, settings, floor)
         main.push(k, found.product, found.along, found.down)
         edge.push(k, found.edge)
-        wide.push(k, cv2.blur(halved(found.energy), (settings.wide, settings.wide)))
+        energy = found.coarse_along**2 + found.coarse_down**2
+        wide.push(k, cv2.blur(halved(energy), (settings.wide, settings.wide)))
     return main, edge, wide
 
 

@@ -51,15 +51,16 @@ class Measures:
         Fine second derivatives along rows and down columns; at half size with their window.
     edge : ndarray
         Deviation from a local mean, which places a step more sharply.
-    energy : ndarray, shape of the frame at half its size
-        Sum of the squares of the coarse second derivatives.
+    coarse_along, coarse_down : ndarray, shape of the frame at half its size
+        Coarse second derivatives along rows and down columns.
     """
 
     product: NDArray[np.float32]
     along: NDArray[np.float32]
     down: NDArray[np.float32]
     edge: NDArray[np.float32]
-    energy: NDArray[np.float32]
+    coarse_along: NDArray[np.float32]
+    coarse_down: NDArray[np.float32]
 
 
 def measure(frame: Image, scale: int, settings: Settings, floor: NoiseFloor) -> Measures:
@@ -84,9 +85,14 @@ def measure(frame: Image, scale: int, settings: Settings, floor: NoiseFloor) -> 
         narrow, wide, edge_floor = blur(detail, 0.5), blur(detail, 2.0), np.float32(2 * floor.edge)
     product += np.float32(floor.fine)
     product *= coarse + np.float32(floor.coarse)
-    edge = np.multiply(narrow + edge_floor, wide + edge_floor, dtype=np.float32)
-    energy = coarse_along * coarse_along + coarse_down * coarse_down
-    return Measures(product=product, along=along, down=down, edge=edge, energy=energy)
+    return Measures(
+        product=product,
+        along=along,
+        down=down,
+        edge=np.multiply(narrow + edge_floor, wide + edge_floor, dtype=np.float32),
+        coarse_along=coarse_along,
+        coarse_down=coarse_down,
+    )
 
 
 def abs_second_derivatives(image: NDArray, sigma: float) -> tuple[NDArray, NDArray]:

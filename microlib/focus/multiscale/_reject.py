@@ -84,14 +84,14 @@ def find_peaks(fits: Fits, axis: Axis, settings: Settings, typical_strength: flo
     low, high, slope = wide_range(wide, settings)
     # The median ignores the edges of what is narrow, where the measures always disagree.
     apart = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
-    floor = NoiseFloor.of(axis.noise, settings)
+    sure_detail, probable_detail = detail_masks(fits, axis, settings)
     peaks = Peaks(
         depth=np.where(np.isnan(depth), _NAN, despiked(own)),
         weight=relative(fits.strength, typical_strength),
         disagreement=disagreement,
         local_disagreement=np.asarray(cv2.blur(apart, (settings.local_window,) * 2), np.float32),
-        sure_detail=detail_mask(fits, floor, *settings.sure_detail),
-        probable_detail=detail_mask(fits, floor, *settings.probable_detail),
+        sure_detail=sure_detail,
+        probable_detail=probable_detail,
         wide_low=low,
         wide_high=high,
         random_error=np.float32(axis.steps[-1]) * significance.random_error,
@@ -180,13 +180,17 @@ def wide_range(wide: NDArray, settings: Settings) -> tuple[NDArray, NDArray, NDA
     return np.where(known, low - bias, _NAN), np.where(known, high + bias, _NAN), slope
 
 
-def detail_mask(fits: Fits, floor: NoiseFloor, ratio: float, snr: float) -> NDArray[np.bool_]:
-    """Return where the best frame has fine detail, which no defocused image has."""
-    middle = len(fits.along) // 2
-    fine = fits.along[middle] + fits.down[middle] + np.float32(floor.fine)
-    coarse = fits.top / fine
-    above = blur(fine - np.float32((1 + snr) * floor.fine), 1.0)
-    return np.asarray(above > ratio * blur(coarse - np.float32(floor.coarse), 1.0))
+def detail_masks(
+    fits: Fits, axis: Axis, settings: Settings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return where the best frame surely and probably has fine detail, as no defocused one has."""
+    floor, middle = NoiseFloor.of(axis.noise, settings), len(fits.along) // 2
+    fine = fits.along[middle] + fits.down[middle]
+    coarse = fits.top / (fine + np.float32(floor.fine)) - np.float32(floor.coarse)
+    fine, coarse = blur(fine, 1.0), blur(coarse, 1.0)
+    limits = settings.sure_detail, settings.probable_detail
+    sure, probable = (fine - snr * floor.fine > ratio * coarse for ratio, snr in limits)
+    return sure, probable
 
 
 def relative(strength: NDArray, typical_strength: float) -> NDArray[np.float32]:
