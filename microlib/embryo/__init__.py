@@ -1,6 +1,6 @@
-"""From an image of an indented embryo to the elastic modulus of its chorion."""
+"""Elastic modulus of a chorion from an image of the indented embryo."""
 
-import microlib._common._opencv  # noqa: F401 – says how to install it
+import microlib._common._opencv  # noqa: F401 – its error explains how to install it
 from microlib.embryo._boundary import extract_boundary
 from microlib.embryo._dimple import dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians

@@ -1,7 +1,7 @@
-"""An outline as a sum of Gaussians: equation (5.1), its extrema and how sure they are.
+"""Sum of Gaussians fitted to an outline, equation (5.1), with its extrema and its covariance.
 
-Outlines are in pixels with x to the right and y *up*, so that the rim of a dimple is a maximum and
-its bottom a minimum.
+Outlines are in pixels with x to the right and y *up*. The rim of a dimple is a maximum, and its
+bottom is a minimum.
 """
 
 from __future__ import annotations
@@ -16,29 +16,27 @@ from scipy.optimize import OptimizeResult, brentq, least_squares
 
 from microlib._common import Array, Tidy, as_array, inverse_normal, positive, same_length, whole
 
-#: Least width of a term, as a share of the outline's extent. 0.003 to 0.03 change E by up to 0.2 %.
-_LEAST_WIDTH = 0.01
+#: Least width of a term, as a fraction of the outline's extent; 0.003 to 0.03 change E by 0.2 %.
+_MIN_WIDTH = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GaussianSum(Tidy):
-    r"""A sum of Gaussians as in equation (5.1).
+    r"""Sum of Gaussians, equation (5.1).
 
     .. math:: f_m(x) = \sum_i a_i \exp\left(-\left(\frac{x-b_i}{c_i}\right)^2\right)
 
-    Calling it with x in px gives y in px.
+    Calling it with x in px returns y in px.
 
     Parameters
     ----------
     amplitudes, centers, widths : array_like, shape (n,)
-        :math:`a_i`, :math:`b_i` and :math:`c_i`, in px. The width is not a standard deviation: it
-        is √2 of one.
+        :math:`a_i`, :math:`b_i` and :math:`c_i`, in px. The width is √2 standard deviations.
     domain : tuple of float
-        Range of x over which the sum describes the outline, in px.
+        Range of x in which the sum describes the outline, in px.
     covariance : array_like, shape (3n, 3n), optional
-        Of all amplitudes, then centers, then widths, in px²; None where it is not known, as for
-        printed coefficients. A coefficient that the data leave open has an infinite variance, and
-        NaN beside it.
+        Covariance of all amplitudes, then centers, then widths, in px². None if it is unknown. An
+        undetermined coefficient has an infinite variance and NaN covariances.
 
     Raises
     ------
@@ -88,7 +86,7 @@ class GaussianSum(Tidy):
         return np.sum(-2 * scaled / self.widths * terms, axis=-1)
 
     def gradient(self, x: float) -> Array:
-        """Return how y at `x` changes with amplitudes, centers and widths; shape (3n,)."""
+        """Return the derivatives of y(x) by amplitudes, centers and widths; shape (3n,)."""
         parameters = np.concatenate([self.amplitudes, self.centers, self.widths])
         return _jacobian(np.atleast_1d(as_array("x", x)), parameters)[0]
 
@@ -98,7 +96,7 @@ class GaussianSum(Tidy):
         return np.sum((4 * scaled**2 - 2) / self.widths**2 * terms, axis=-1)
 
     def extrema(self) -> tuple[Array, Array]:
-        """Find where the slope vanishes inside the domain.
+        """Return the maxima and minima inside the domain.
 
         Returns
         -------
@@ -107,8 +105,8 @@ class GaussianSum(Tidy):
 
         Notes
         -----
-        The analytic slope is bracketed on a grid 40 times finer than the narrowest term, which
-        cannot hide two roots, and each root is then polished by Brent’s method.
+        Sign changes of the slope are found on a grid 40 times finer than the narrowest term, and
+        refined by Brent's method.
         """
         low, high = self.domain
         samples = int(np.ceil((high - low) / self.widths.min() * 40)) + 2
@@ -136,26 +134,25 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     Returns
     -------
     GaussianSum
-        The best sum found, with the range of `x` as its domain, and its covariance.
+        Fitted sum with the range of `x` as its domain, and its covariance.
 
     Raises
     ------
     ValueError
-        If x and y differ in length or hold NaN, there are fewer points than the 3 × `terms`
+        If x and y differ in length or contain NaN, there are fewer points than the 3 × `terms`
         parameters, or x has no extent.
 
     Notes
     -----
-    The solver is scipy's trust-region reflective Newton method, as the thesis names it, with the
-    analytic Jacobian. Where it ends depends on where it starts: a few evaluations from evenly
-    spaced terms and a few from terms crowded where the outline's second derivative is large decide
-    which goes on. The amplitudes of a start are solved for linearly.
+    The solver is SciPy's trust-region reflective method, which the thesis names, with the analytic
+    Jacobian. The fit starts from evenly spaced terms or from terms that are denser where the second
+    derivative of the outline is large, whichever has the smaller residual after 50 evaluations. It
+    may end in a local minimum.
 
-    The covariance is that of least squares, scaled to the residuals; with as many parameters as
-    points it is not known and left out. Neighboring terms trade off
-    against each other, so single coefficients are hardly determined; combinations, such as the
-    curve and its extrema, are. It covers random errors only and not that a sum of Gaussians rounds
-    the corners at the bottom of a dimple.
+    The covariance is that of least squares, scaled to the residuals. It is None if there are as
+    many parameters as points. Single coefficients are hardly determined, because neighboring terms
+    are correlated. The curve and its extrema are determined much better. The covariance does not
+    cover the bias at the bottom of a dimple, whose corners a sum of Gaussians rounds.
 
     Examples
     --------
@@ -172,13 +169,13 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     n = whole("terms", terms, least=1)
     if len(x) < 3 * n:
         raise ValueError(
-            f"x must hold at least {3 * n} points for {n} terms of three parameters, got {len(x)}"
+            f"x must have at least {3 * n} points for {n} terms of three parameters, got {len(x)}"
         )
     low, span = x.min(), np.ptp(x)
     if span == 0:
         raise ValueError(f"x must have an extent, got {len(x)} points at {low:g}")
 
-    lower = np.repeat([-np.inf, low - span, _LEAST_WIDTH * span], n)
+    lower = np.repeat([-np.inf, low - span, _MIN_WIDTH * span], n)
     upper = np.repeat([np.inf, low + 2 * span, 2 * span], n)
 
     def search(start: Array, evaluations: int) -> OptimizeResult:
@@ -191,43 +188,41 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
             max_nfev=evaluations,
         )
 
-    # After 50 evaluations the better of two starts is the one that ends better, in all but two of
-    # 110 outlines.
+    # In all but two of 110 outlines the better start after 50 evaluations also ends better.
     start = min(_starts(x, y, n), key=lambda start: float(search(start, 50).cost))
     solution = search(start, 1500)
-    freedom = len(x) - 3 * n
-    # Positive, so that an undetermined direction stays so, however good the fit.
-    variance = max(2 * solution.cost / max(freedom, 1), np.finfo(float).tiny)
+    dof = len(x) - 3 * n
+    # Positive, so that an undetermined coefficient keeps its infinite variance.
+    variance = max(2 * solution.cost / max(dof, 1), np.finfo(float).tiny)
     covariance = variance * inverse_normal(solution.jac)
     places = np.arange(3 * n).reshape(3, n)
     rows = places[:, np.argsort(solution.x[places[1]])]
     a, b, c = solution.x[rows]
-    known = covariance[np.ix_(rows.ravel(), rows.ravel())] if freedom > 0 else None
+    known = covariance[np.ix_(rows.ravel(), rows.ravel())] if dof > 0 else None
     return GaussianSum(a, b, c, domain=(float(low), float(low + span)), covariance=known)
 
 
 def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:
-    """Evenly spaced terms, then terms denser where the outline turns; best amplitudes each."""
+    """Yield evenly spaced terms, then terms denser at large curvature, with best amplitudes."""
     span = np.ptp(x)
     grid, blur = np.linspace(x.min(), x.max(), 256), 4
     order = np.argsort(x)
     smooth = gaussian_filter1d(np.interp(grid, x[order], y[order]), blur, mode="nearest")
     second_derivative = np.gradient(np.gradient(smooth))
-    # Breakpoints of a piecewise fit belong as dense as the root of the second derivative.
+    # Breakpoints of a piecewise linear fit have a density of the root of the second derivative.
     density = np.sqrt(np.abs(second_derivative))
-    # The ends of the filter turn by themselves.
+    # The filter distorts the ends.
     end = 2 * blur
     density[:end], density[-end:] = density[end], density[-end - 1]
-    # Straight parts get terms, too; and a straight line has no share of nothing.
-    share = np.cumsum(density + 0.1 * density.mean() + np.finfo(float).eps)
-    share /= share[-1]
+    # The constant places terms on straight parts as well.
+    cumulative = np.cumsum(density + 0.1 * density.mean() + np.finfo(float).eps)
+    cumulative /= cumulative[-1]
     even = np.linspace(0.0, 1.0, grid.size)
-    for progress in (even, share):
+    for progress in (even, cumulative):
         centers = np.interp((np.arange(n) + 0.5) / n, progress, grid)
         edges = np.interp(np.arange(n + 1) / n, progress, grid)
-        # So that neighbors overlap. Where the fit ends depends on it: 0.9 and 1.6 change E by up to
-        # 4 and 8 %.
-        widths = np.clip(1.2 * np.diff(edges), 2 * _LEAST_WIDTH * span, span)
+        # Neighbors overlap. Factors of 0.9 and 1.6 change E by up to 4 and 8 %.
+        widths = np.clip(1.2 * np.diff(edges), 2 * _MIN_WIDTH * span, span)
         basis = np.exp(-(((x[:, np.newaxis] - centers) / widths) ** 2))
         amplitudes = np.linalg.lstsq(basis, y, rcond=1e-6)[0]
         yield np.concatenate([amplitudes, centers, widths])
@@ -239,7 +234,7 @@ def _sum(x: Array, parameters: Array) -> Array:
 
 
 def _jacobian(x: Array, parameters: Array) -> Array:
-    """Derivatives of the sum by amplitudes, centers and widths; shape (len(x), 3n)."""
+    """Return the derivatives by amplitudes, centers and widths; shape (len(x), 3n)."""
     a, b, c = parameters.reshape(3, -1)
     scaled = (x[:, np.newaxis] - b) / c
     bell = np.exp(-(scaled**2))

@@ -56,10 +56,10 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     x = as_array("x", x, shape=(None,))
     y = as_array("y", y, shape=(None,))
     same_length(("x", "y"), x, y)
-    share = scalar("span", span, above=0, most=1)
+    fraction = scalar("span", span, above=0, most=1)
     whole("degree", degree, least=1, most=2)
     # A product such as 0.29 × 100 must not lose a neighbor to rounding.
-    k = int(share * len(x) * (1 + 4 * np.finfo(float).eps))
+    k = int(fraction * len(x) * (1 + 4 * np.finfo(float).eps))
     if k < degree + 1:
         raise ValueError(
             f"span must give {degree + 1} points or more for degree {degree}, got {k} of {len(x)}"

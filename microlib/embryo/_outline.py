@@ -1,8 +1,7 @@
-"""From a table of outline points to the dimple in it, as section 5.6 of the thesis measures it.
+"""Dimple of an outline from a table of points, measured as in section 5.6 of the thesis.
 
-A table of points comes from any program. Here it is read, the part that has the dimple is taken,
-and radius and depth are read off eight Gaussians (5.1), (5.3), with the part of their uncertainty
-that the choice of the smoothing leaves.
+A table of points is read, the part with the dimple is selected, and radius and depth are measured
+on eight Gaussians (5.1), (5.3). Their uncertainty includes that of the choice of smoothing.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
 from microlib.embryo._probe import MAD_TO_STD
 
-#: Spans of LOESS whose dimples are compared. The middle one is that of the thesis; a smaller one
-#: follows the corners at the bottom of a dimple more closely, and the noise as well.
+#: Spans of LOESS whose dimples are compared. The middle one is that of the thesis. A smaller span
+#: follows the corners at the bottom of a dimple and the noise more closely.
 SPANS = (0.15, 0.25, 0.35)
-#: Points that eight Gaussians of three numbers each need.
-_FEWEST = 24
+#: Number of parameters of eight Gaussians.
+_MIN_POINTS = 24
 
 
 class OutlineTable(NamedTuple):
@@ -34,9 +33,9 @@ class OutlineTable(NamedTuple):
 
     x: Array
     y: Array
-    #: µm in the unit of x and y where the columns' names give it, else None.
+    #: Unit of x and y in µm if the names of the columns contain it, else None.
     pixel_size: float | None
-    #: Whether y runs down, as that of a column called row does.
+    #: Whether y points down, as a column called row does.
     y_down: bool
 
 
@@ -46,10 +45,10 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Parameters
     ----------
     path : path-like
-        Text in UTF-8, or in UTF-16 as spreadsheets write it: two columns, or columns called x and
-        y, or col and row, among others. Between columns stands a comma, semicolon, tab or space;
-        decimal commas are read where something else stands between columns. Empty lines and
-        what follows a # are skipped. A name may have a unit, such as ``x (px)`` or ``y_um``.
+        Text in UTF-8 or UTF-16 with two columns without names, or with columns x and y, or col and
+        row, among others. The separator is a comma, semicolon, tab or space. Decimal commas are
+        read if the separator is another one. Empty lines and text after a # are skipped. A name may
+        have a unit, such as ``x (px)`` or ``y_um``.
 
     Returns
     -------
@@ -60,7 +59,7 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Raises
     ------
     ValueError
-        If the file holds no such table; the line is named.
+        If the file contains no such table. The message contains the number of the line.
 
     Examples
     --------
@@ -82,7 +81,7 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
         raise ValueError(f"{path} must be a table of text with the columns x and y") from None
     numbered = enumerate(text.splitlines(), start=1)
     lines = [(k, found) for k, line in numbered if (found := line.partition("#")[0].strip())]
-    # Names may have spaces, so that a line of numbers decides.
+    # The last line determines the separator, because names may contain spaces.
     separator = _separator(lines[-1][1]) if lines else ","
     rows = [(k, [cell.strip() for cell in re.split(separator, line)]) for k, line in lines]
     columns: tuple[tuple[int, int], float | None, bool] = (0, 1), None, False
@@ -101,7 +100,7 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
 
 
 def _separator(line: str) -> str:
-    """Return what stands between the columns of a line of numbers, as a regular expression."""
+    """Return the separator of a line of numbers as a regular expression."""
     for mark in ";\t":
         if mark in line:
             return mark
@@ -111,7 +110,7 @@ def _separator(line: str) -> str:
 
 
 def _numbers(cells: list[str], columns: tuple[int, int]) -> tuple[float, float] | None:
-    """Return the finite numbers in two cells, if there are two."""
+    """Return the finite numbers in two cells, or None."""
     try:
         x, y = (float(cells[k].replace(",", ".")) for k in columns)
     except (IndexError, ValueError):
@@ -120,7 +119,7 @@ def _numbers(cells: list[str], columns: tuple[int, int]) -> tuple[float, float] 
 
 
 def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | None, bool]:
-    """Return where x and y stand, their unit in µm or None, and whether y runs down."""
+    """Return the indices of x and y, their unit in µm or None, and whether y points down."""
     form = re.compile(r"(\w+?)[\s_]*[\[(]?(px|pixels?|[uµμnm]m|)[\])]?")
     known = {m[1]: (k, m[2]) for k, name in enumerate(names) if (m := form.fullmatch(name.lower()))}
     for across, up in (("x", "y"), ("col", "row"), ("column", "row")):
@@ -134,18 +133,18 @@ def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | N
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OutlineDimple(Tidy):
-    """A dimple measured in an outline, from `dimple_from_outline`.
+    """Dimple of an outline, from `dimple_from_outline`.
 
     Attributes
     ----------
     left, right : DimpleGeometry
-        Radius and depth from either rim, with their covariance.
+        Radius and depth from each rim, with their covariance.
     curve : GaussianSum
         Eight Gaussians (5.1) fitted to the smoothed outline, px.
     x, y : ndarray, shape (n,)
-        The part of the outline that was used, px; x ascending, y up from its lowest point.
+        Part of the outline that was used, px; x ascending, y up from its lowest point.
     y_down : bool
-        Whether y was found to run down.
+        Whether the dimple was found with y pointing down.
     """
 
     _large = ("x", "y", "curve")
@@ -164,23 +163,22 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     Parameters
     ----------
     x, y : array_like, shape (n,)
-        Points of the outline, px, y up; in the order of the outline, or in any order where there
-        is one y for each x. Of an outline that turns back in x, such as a closed one, the upper
-        part is used. If only the outline upside down has a dimple, y is taken to run down.
+        Points of the outline, px, y up. The order is that of the outline, or any order if there is
+        one y for each x. The upper part is used of an outline that turns back in x, such as a
+        closed outline. If only the inverted outline has a dimple, y points down.
     pixel_size : float
         Size of a pixel in the object plane, µm/px; 1 for points in µm.
 
     Returns
     -------
     OutlineDimple
-        Radius and depth from the `left` and the `right` rim, and the `curve` they were read off.
+        Radius and depth from the `left` and the `right` rim, and the fitted `curve`.
 
     Raises
     ------
     ValueError
-        If the outline has fewer than 24 points within two radii of the bottom, no dimple, one
-        whose radius or depth is below three of its standard deviations, or more than one y for each
-        x.
+        If the outline has fewer than 24 points within two radii of the bottom, has no dimple, or
+        has a dimple whose radius or depth is below three standard deviations.
 
     See Also
     --------
@@ -188,13 +186,13 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
 
     Notes
     -----
-    1. The part with the dimple is taken, to two radii from its bottom.
-    2. `loess` smooths it, with the span of the thesis, 0.25, and with 0.15 and 0.35.
-    3. `fit_gaussians` and `dimple_geometry` give radius and depth of each.
+    1. The part with the dimple is selected, up to two radii from its bottom.
+    2. `loess` smooths it with the spans 0.15, 0.25 (as in the thesis) and 0.35.
+    3. `fit_gaussians` and `dimple_geometry` measure radius and depth of each curve.
 
-    The variances are those between the three spans, which show how much the smoothing decides, and
-    those that the scatter of the points leaves in the smoothed curve. They do not contain that
-    every smooth curve rounds the corners at the bottom.
+    The variances are the sum of the variance between the three spans and the variance from the
+    scatter of the points. They do not cover the bias of a smooth curve, which rounds the corners at
+    the bottom.
 
     Examples
     --------
@@ -212,22 +210,22 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     across, up, y_down = _part_with_dimple(*points)
     smooth = [loess(across, up, span=span) for span in SPANS]
     curves = [fit_gaussians(across, each) for each in smooth]
-    # Without the corners at the bottom, which a smooth curve misses by more than noise.
+    # Clipped at the corners of the bottom, where the bias of a smooth curve exceeds the noise.
     residuals = up - smooth[0]
-    usual = 3 * MAD_TO_STD * float(np.median(np.abs(residuals)))
-    residuals = np.clip(residuals, -usual, usual)
-    # Of a parabola fitted to k points with tricube weights, up to the distance h: the value in its
-    # middle has 2.85/k of their variance, the slope 6.9/(k h²). A slope moves an extremum.
-    reach = SPANS[1] * float(np.ptp(across)) / 2
+    limit = 3 * MAD_TO_STD * float(np.median(np.abs(residuals)))
+    residuals = np.clip(residuals, -limit, limit)
+    # A parabola fitted to k points of variance 1 with tricube weights, up to the distance h, has
+    # the variance 2.85/k of its value and 6.9/(k h²) of its slope in the middle. The error of the
+    # slope divided by the second derivative is that of an extremum.
+    half_span = SPANS[1] * float(np.ptp(across)) / 2
     scatter = residual_variance(residuals, int(3 / SPANS[0])) / (SPANS[1] * across.size)
     sides = {}
     for rim in ("left", "right"):
         each = [dimple_geometry(curve, pixel_size=size, rim=rim) for curve in curves]
         sizes = np.array([(g.dimple_radius, g.dimple_depth) for g in each])
-        bends = curves[1].second_derivative([each[1].rim[0], each[1].bottom[0]])
-        noise = size**2 * scatter * np.array([7 / reach**2 * np.sum(bends**-2.0), 6])
+        second = curves[1].second_derivative([each[1].rim[0], each[1].bottom[0]])
+        noise = size**2 * scatter * np.array([7 / half_span**2 * np.sum(second**-2.0), 6])
         variances = sizes.var(axis=0, ddof=1) + noise
-        # The modulus goes with the third power of either.
         if (sizes[1] < 3 * np.sqrt(variances)).any():
             (a, w), (a_std, w_std) = sizes[1] / size, np.sqrt(variances) / size
             raise ValueError(
@@ -239,61 +237,61 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
 
 
 def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
-    """Return the outline around its dimple, x ascending, y up from 0, and whether y ran down."""
+    """Return the outline around its dimple, x ascending, y up from 0, and if y was down."""
     parts = _single_valued_parts(x, y)
-    # Seen from above, and from below.
+    # The upper part, and the lower part of the inverted outline.
     sides = [max(parts, key=lambda part: float(np.mean(way * y[part]))) for way in (1, -1)]
     above, below = _deepest(y[sides[0]]), _deepest(-y[sides[1]])
     y_down = below.inside and not above.inside and below.depth > float(np.ptp(y)) / 10
     chosen, dip, way = (sides[1], below, -1) if y_down else (sides[0], above, 1)
     across, up = x[chosen], way * y[chosen]
-    # Eight Gaussians describe well what is within two radii of the bottom.
+    # Eight Gaussians describe an outline well within two radii of the bottom.
     reach = 2 * (across[dip.bottom] - across[dip.rim]) or np.inf
-    near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # whatever the unit rounds
-    if near.sum() < _FEWEST:
+    near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
+    if near.sum() < _MIN_POINTS:
         raise ValueError(
-            f"outline must have at least {_FEWEST} points around a dimple, got {near.sum()} within "
-            "two radii of where it is deepest"
+            f"outline must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
+            "within two radii of where it is deepest"
         )
-    # Noise that neighbors share makes several dips of about one depth; two standard deviations.
+    # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
     others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
     rough = np.median(np.abs(up - loess(across, up, span=SPANS[1])))
     other = max(*others, 2 * MAD_TO_STD * float(rough))
     if dip.depth < 2 * other:
         raise ValueError(
             f"outline must show one dimple, got one of {dip.depth:.2g} px beside others of "
-            f"{other:.2g} px; one that returns in x must have its points in order along it"
+            f"{other:.2g} px; a closed outline must have its points in order along the outline"
         )
-    # Gaussians die away to zero.
+    # Gaussians fall to zero.
     return across[near], up[near] - up[near].min(), y_down
 
 
 def _single_valued_parts(x: Array, y: Array) -> list[NDArray[np.intp]]:
-    """Return the places of the points by ascending x, in two parts if the outline returns in x."""
+    """Return indices of the points by ascending x, in two parts if the outline is closed."""
 
     def length(x: Array, y: Array) -> float:
         return float(np.hypot(np.diff(x), np.diff(y)).sum())
 
     order = np.argsort(x, kind="stable")
-    # By ascending x, one jumps between the parts of an outline that returns.
+    # The order of ascending x jumps between the two parts of a closed outline.
     if length(x[order], y[order]) < 3 / 2 * length(x, y):
         return [order]
     first, last = int(np.argmin(x)), int(np.argmax(x))
     around = np.roll(np.arange(x.size), -first)
     turn = (last - first) % x.size
-    # Without the ends, where a closed outline runs up and down.
+    # Without the ends, where a closed outline is vertical.
     within = (x > x[first]) & (x < x[last])
     parts = (part[within[part]] for part in (around[:turn], around[turn:]))
     return [part[np.argsort(x[part], kind="stable")] for part in parts if part.size]
 
 
 class _Dip(NamedTuple):
-    """Where a curve lies deepest between higher parts, and its higher part on the left."""
+    """Deepest point of a curve between higher parts, and the higher part on its left."""
 
     bottom: int
     rim: int
     depth: float
-    inside: bool  # whether both of the higher parts are more than where the curve begins and ends
+    inside: bool  # whether both higher parts are away from the ends of the curve
 
 
 def _deepest(y: Array) -> _Dip:

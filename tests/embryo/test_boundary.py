@@ -49,7 +49,7 @@ def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", points - outline[nearest], outward[nearest])
 
 
-def test_the_probes_width_is_taken_across_it():
+def test_probe_half_width_is_perpendicular_to_its_axis():
     """A bar of exact edges at 3.9°: along a row it is 0.23 % wider."""
     slope, half_width, tip = np.tan(np.deg2rad(3.9)), 60.0, 300.0
     y, x = np.mgrid[:480, :1400].astype(float)
@@ -64,7 +64,7 @@ def test_the_probes_width_is_taken_across_it():
     assert probe.half_width == pytest.approx(half_width, abs=0.07)
 
 
-def test_outline_lies_on_the_drawn_one(scene, boundary):
+def test_outline_and_std_match_rendered_outline(scene, boundary):
     seen = boundary.points[~boundary.under_probe]
     off = distances(scene, seen)
     # The dark wall darkens the brighter ground more than the fluid, which moves its apparent middle
@@ -85,7 +85,7 @@ def test_outline_lies_on_the_drawn_one(scene, boundary):
     assert boundary.blur == pytest.approx(np.sqrt(1 + 1 / 12 + wall), abs=0.06)
 
 
-def test_filled_probe_leaves_the_ground(scene, boundary):
+def test_without_probe_matches_image_rendered_without_probe(scene, boundary):
     clean = render(probe=False, noise=0.0)
     noisy = scene.image[:75].astype(float)
     filled = boundary.without_probe(scene.image)[:75]
@@ -105,7 +105,7 @@ def test_filled_probe_leaves_the_ground(scene, boundary):
     ],
     ids=["16 bit", "0 to 1", "dimmer"],
 )
-def test_scale_of_the_grey_levels_does_not_matter(scene, boundary, change):
+def test_outline_does_not_depend_on_grey_scale(scene, boundary, change):
     other = extract_boundary(change(scene.image))
     np.testing.assert_array_equal(other.under_probe, boundary.under_probe)
     # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
@@ -134,7 +134,7 @@ def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
 
 @pytest.mark.parametrize("glass", [False, True], ids=["metal", "glass"])
 @pytest.mark.parametrize("taper", [0.0, 0.1])
-def test_probes_of_other_kinds(taper, glass):
+def test_tapered_and_glass_probes_are_found(taper, glass):
     truth, image = with_probe(taper, glass)
     found = extract_boundary(image)
     tip = truth.to_pixels(np.array([[0.0, 1.5 - truth.embryo.dimple_depth]]))[0]
@@ -153,7 +153,7 @@ def test_probes_of_other_kinds(taper, glass):
 
 
 @pytest.mark.parametrize(("edge", "turns"), [("left", 1), ("bottom", 2), ("right", 3)])
-def test_probe_may_come_from_any_edge(scene, boundary, edge, turns):
+def test_outline_follows_rotation_of_image(scene, boundary, edge, turns):
     turned = np.rot90(scene.image, turns)
     for direction in (edge, "auto"):
         found = extract_boundary(turned, direction=direction)
@@ -171,7 +171,7 @@ def test_probe_may_come_from_any_edge(scene, boundary, edge, turns):
 
 
 @pytest.mark.parametrize("degrees", [-50.0, 25.0])
-def test_a_leaning_probe_is_turned_upright(degrees):
+def test_outline_is_right_under_leaning_probe(degrees):
     """Of an image of the same size, turned about the middle of the dimple's side."""
     turned = {"tilt": np.deg2rad(degrees), "shape": (400, 520), "center": (260.0, 175.0)}
     leaning = render(**turned)
@@ -196,7 +196,7 @@ def test_a_leaning_probe_is_turned_upright(degrees):
 
 
 @pytest.mark.parametrize("probe", ["needle", "glass", "angled"])
-def test_probes_of_the_other_renderer(probe):
+def test_probe_and_outline_match_independent_renderer(probe):
     """From any side, in a file of colors, at a quarter of the resolution (seed 2002)."""
     drawn = draw_scene(np.random.default_rng(2002), probe)
     assert drawn.shrink == 4
@@ -210,7 +210,7 @@ def test_probes_of_the_other_renderer(probe):
     assert found.probe.half_width == pytest.approx(half, abs=1.0)
 
 
-def test_a_broad_edge_is_found_at_half_the_size(scene, boundary):
+def test_outline_of_enlarged_image_matches_original(scene, boundary):
     broad = cv2.resize(scene.image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     found = extract_boundary(broad)
     assert found.blur == pytest.approx(2 * boundary.blur, rel=0.1)
@@ -223,7 +223,7 @@ def test_a_broad_edge_is_found_at_half_the_size(scene, boundary):
     assert np.abs(off).max() < 0.4
 
 
-def test_points_of_a_soft_edge_are_as_uncertain_as_they_say(scene):
+def test_std_matches_scatter_on_blurred_edge(scene):
     """Whose profiles are taken of half as many points."""
     clean = render(noise=0.0).image.astype(np.float32)
     noise = np.random.default_rng(1).normal(0, 2, clean.shape)
@@ -257,7 +257,7 @@ def test_outline_and_std_are_right_on_blurred_image(edge: str, turns: int) -> No
     assert filled[: int(found.probe.tip[1]) - 9, int(found.probe.tip[0])].min() > 150
 
 
-def test_a_color_photograph_has_the_outline_of_its_luminance(scene) -> None:
+def test_color_image_has_outline_of_its_luminance(scene) -> None:
     tint = np.array([0.9, 1.0, 0.8])
     color = np.rint(scene.image[..., np.newaxis] * tint).astype(np.uint8)
     grey = cv2.cvtColor(color.astype(np.float32), cv2.COLOR_RGB2GRAY)
@@ -279,7 +279,7 @@ def test_boundary_is_rejected_in_pictures_without_an_embryo():
             assert sorted(", ".join(edges).split(", ")) == ["bottom", "left", "right", "top"]
 
 
-def test_a_bar_that_is_bright_inside_is_refused():
+def test_bar_with_bright_middle_raises():
     """Its middle is no darker than half-way to the ground, so that no row has an edge."""
     image = np.full((200, 400), 200.0)
     image[:120, 141:161] = 40.0
@@ -345,7 +345,7 @@ SPOILED = {
 
 
 @pytest.mark.parametrize(("spoiled", "message"), SPOILED.values(), ids=SPOILED)
-def test_images_that_show_no_dimple_are_refused(spoiled, message):
+def test_images_without_dimple_raise(spoiled, message):
     with pytest.raises(ValueError, match=message):
         extract_boundary(spoiled())
 
@@ -360,7 +360,7 @@ def corner_bar(slope: float, height: float, length: float, half: float) -> np.nd
 
 
 @pytest.mark.parametrize(("height", "half"), [(-8.0, 6.0), (0.0, 6.0), (8.0, 6.0), (2.0, 10.0)])
-def test_a_bar_that_enters_through_a_corner_is_turned_upright(height, half):
+def test_bar_through_corner_is_found_and_rotated(height, half):
     image = corner_bar(0.7, height, 150.0, half).astype(np.float32)
     whole = image.shape[::-1]
     _, probe, view = find_probe(image, View(whole, "top"))

@@ -57,7 +57,7 @@ def outline(
     tilt=st.floats(-0.06, 0.06),
 )
 @example(depth=47.5, rim=431.0, tilt=0.0)  # exact but for the flank, a fifth of the points
-def test_exact_outline_gives_exact_dimple(depth, rim, tilt):
+def test_fit_dimple_recovers_dimple_of_exact_outline(depth, rim, tilt):
     embryo = Embryo.dented(depth, modulus=1.0, rim_radius=rim)
     boundary = outline(embryo, tilt=tilt)
     dimple = fit_dimple(boundary, pixel_size=PIXEL, probe_half_width=25.0)
@@ -72,7 +72,7 @@ def test_exact_outline_gives_exact_dimple(depth, rim, tilt):
     np.testing.assert_allclose(dimple(boundary.x[near]), boundary.y[near], atol=0.1)
 
 
-def test_covariance_is_what_noise_does():
+def test_covariance_matches_scatter_of_noisy_fits():
     rng = np.random.default_rng(0)
     embryo = Embryo.dented(80.0, modulus=1.0)
     fits = [
@@ -90,7 +90,7 @@ def test_covariance_is_what_noise_does():
 
 
 @pytest.mark.parametrize("width", [1, 6])
-def test_errors_that_are_alike_count_as_fewer(width):
+def test_residual_variance_allows_for_correlation(width):
     """Of a running mean of unit errors, whose own mean is as uncertain as theirs."""
     drawn = np.random.default_rng(0).normal(size=(60, 250))
     errors = uniform_filter1d(drawn, width, axis=1, mode="wrap")
@@ -99,7 +99,7 @@ def test_errors_that_are_alike_count_as_fewer(width):
     assert np.mean(found) == pytest.approx(1.0, abs=0.15)
 
 
-def test_stray_points_are_left_out():
+def test_outliers_do_not_change_depth():
     rng = np.random.default_rng(1)
     embryo = Embryo.dented(100.0, modulus=1.0)
     boundary = outline(embryo, noise=0.06, rng=rng)
@@ -115,7 +115,7 @@ def rippled(height: float) -> Boundary:
     return replace(plain, y=plain.y + height * np.sin(np.abs(plain.x - CENTER[0]) / 6.0))
 
 
-def test_a_dimple_of_another_shape_is_less_certain():
+def test_outline_of_another_shape_has_larger_covariance():
     plain, other = (
         fit_dimple(rippled(height), pixel_size=PIXEL, probe_half_width=25.0) for height in (0, 3)
     )
@@ -130,14 +130,14 @@ def test_a_dimple_of_another_shape_is_less_certain():
     assert other.covariance[1, 1] ** 0.5 > 3 * free
 
 
-def test_what_is_no_dimple_is_refused(monkeypatch):
+def test_outline_without_profile_raises(monkeypatch):
     zigzag = rippled(0.0)
     zigzag = replace(zigzag, y=zigzag.y + 7.0 * (-1.0) ** np.arange(zigzag.x.size))
     with pytest.raises(ValueError, match=r"probe's end at the bottom of the dimple"):
         fit_dimple(zigzag, pixel_size=PIXEL, probe_half_width=25.0)
     # Ripples of 2 px in 30 (1.82 or 1.84, by SciPy's version) are let pass, and would not be by a
     # limit below that.
-    monkeypatch.setattr(_dimple, "_LARGEST_MISFIT", 0.055)
+    monkeypatch.setattr(_dimple, "_MAX_MISFIT", 0.055)
     with pytest.raises(ValueError, match=r"profile \(4.2\) to within .* got 1.8. px of 30"):
         fit_dimple(rippled(3), pixel_size=PIXEL, probe_half_width=25.0)
 
@@ -148,7 +148,7 @@ def with_end_off(pixels: float) -> Boundary:
     return replace(plain, probe=replace(plain.probe, tip=(x, y + pixels)))
 
 
-def test_a_bottom_beside_the_probes_end_is_less_certain():
+def test_distance_of_probe_end_from_bottom_increases_depth_variance():
     there, below = (
         fit_dimple(with_end_off(pixels), pixel_size=PIXEL, probe_half_width=25.0)
         for pixels in (0.0, 4.0)
@@ -162,7 +162,7 @@ def test_a_bottom_beside_the_probes_end_is_less_certain():
         fit_dimple(with_end_off(9.0), pixel_size=PIXEL, probe_half_width=25.0)
 
 
-def test_a_probe_that_is_not_in_the_dimple_is_refused():
+def test_probe_beside_dimple_axis_raises():
     boundary = outline(Embryo.dented(100.0, modulus=1.0))
     (x, y), slope = boundary.probe.tip, boundary.probe.slope
     other = replace(boundary, probe=Probe((x + 12, y), slope, 6.25))

@@ -11,7 +11,7 @@ from scipy.optimize import curve_fit
 from microlib.embryo import GaussianSum, _gaussian_sum, dimple_geometry, fit_gaussians
 
 
-def test_the_rim_is_the_nearest_maximum_in_the_upper_half() -> None:
+def test_rim_is_nearest_maximum_in_upper_half() -> None:
     # Behind a hill that is higher than half the dimple, or not, is the highest one.
     for height, rim in ((60.0, 100.0), (20.0, 50.0)):
         curve = GaussianSum(
@@ -42,7 +42,7 @@ def test_fit_equals_curve_fit_on_noisy_data() -> None:
     np.testing.assert_allclose(got, want, rtol=1e-4)  # both stop at relative changes of 1e-8
 
 
-def test_a_search_that_ends_with_its_terms_exchanged_gives_the_same(monkeypatch) -> None:
+def test_order_of_start_terms_changes_nothing(monkeypatch) -> None:
     x = np.linspace(0, 120, 90)
     truth = GaussianSum([40.0, 5.0], [30.0, 85.0], [20.0, 9.0], domain=(0, 120))
     y = truth(x) + np.random.default_rng(4).normal(0, 0.5, x.size)

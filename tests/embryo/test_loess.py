@@ -40,7 +40,7 @@ def directly(x: np.ndarray, y: np.ndarray, span: float) -> np.ndarray:
     seed=st.integers(0, 10_000),
     span=st.floats(0.25, 1.0),
 )
-def test_first_degree_equals_statsmodels(n, seed, span):
+def test_degree_1_matches_statsmodels(n, seed, span):
     x, y = noisy(n, seed)
     peer = lowess(y, x, frac=span, it=0, return_sorted=False)
     ours = loess(x, y, span=span, degree=1)
@@ -48,6 +48,6 @@ def test_first_degree_equals_statsmodels(n, seed, span):
 
 
 @pytest.mark.parametrize("span", [0.1, 0.25, 0.7, 1.0])
-def test_second_degree_equals_a_direct_fit(span):
+def test_degree_2_matches_polyfit_at_each_point(span):
     x, y = noisy(150, 3)
     np.testing.assert_allclose(loess(x, y, span=span), directly(x, y, span), atol=1e-9)

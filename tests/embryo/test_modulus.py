@@ -49,7 +49,7 @@ def study() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["error", "std", "inside"])
 
 
-def test_modulus_is_unbiased_and_its_interval_honest(study):
+def test_modulus_is_unbiased_and_interval_covers_truth(study):
     # The mean of ten errors of 1.5 % is known to 0.5 %: three of those.
     assert abs(study["error"].mean()) < 0.015
     assert study["error"].std() < 0.05
@@ -59,7 +59,7 @@ def test_modulus_is_unbiased_and_its_interval_honest(study):
     assert np.sum((study["error"] / study["std"]) ** 2) > 1.48
 
 
-def test_force_and_modulus_are_two_views_of_one_dimple():
+def test_force_and_modulus_have_same_relative_error():
     scene = draw(7)
     truth = scene.embryo
     by_force = modulus_from_image(scene.image, truth.force, pixel_size=scene.pixel_size, **MEMBRANE)
@@ -72,14 +72,14 @@ def test_force_and_modulus_are_two_views_of_one_dimple():
     assert np.log(high / low) == pytest.approx(2 * 1.959964 * by_modulus.relative_std)
 
 
-def test_what_was_given_stays_after_the_models_were_asked_for():
+def test_model_moduli_do_not_change_estimate():
     found = modulus_from_image(fuzz.egg().image, 143.0, pixel_size=7.75, **MEMBRANE)
     asked = [found.model_moduli, found.model_interval, found.to_dict(), repr(found)]
     assert found.given == MEMBRANE
     assert [found.model_moduli, found.model_interval, found.to_dict(), repr(found)] == asked
 
 
-def test_a_capsule_under_a_probe_of_another_width_is_refused():
+def test_capsule_with_wrong_probe_width_raises():
     with pytest.raises(ValueError, match="probe_half_width must be that of the probe in the image"):
         modulus_from_image(
             fuzz.egg().image, 100.0, pixel_size=7.75, method="capsule",
@@ -105,7 +105,7 @@ def of_capsule(scene, **options):
     )
 
 
-def test_a_capsule_is_measured_as_one(pressed_capsule):
+def test_capsule_method_recovers_modulus_and_radius(pressed_capsule):
     found = of_capsule(pressed_capsule, method="capsule")
     # Its own standard deviation is 0.8 %; fifty images of each probe are in the benchmark.
     assert found.modulus == pytest.approx(pressed_capsule.modulus, rel=0.025)
@@ -116,7 +116,7 @@ def test_a_capsule_is_measured_as_one(pressed_capsule):
     assert found.model_moduli["capsule, neo-hooke"] == pytest.approx(found.modulus, rel=1e-3)
 
 
-def test_a_capsule_is_fitted_as_it_is_asked_for(pressed_capsule, monkeypatch):
+def test_capsule_method_calls_fit_capsule_with_given_sizes(pressed_capsule, monkeypatch):
     """As neo-Hookean, tilted, with points of the outline from the probe's end on."""
     asked = []
     capsule = SimpleNamespace(modulus=1.7, modulus_std=0.02)
@@ -136,7 +136,7 @@ def test_a_capsule_is_fitted_as_it_is_asked_for(pressed_capsule, monkeypatch):
     assert found.relative_std == pytest.approx(np.hypot(0.02 / 1.7, 0.005))
 
 
-def test_models_of_one_dimple_span_its_modulus(pressed_capsule):
+def test_model_interval_contains_true_modulus(pressed_capsule):
     scene = pressed_capsule
     found = of_capsule(scene)
     assert found.model_interval[0] < scene.modulus < found.model_interval[1]
@@ -152,7 +152,7 @@ def test_models_of_one_dimple_span_its_modulus(pressed_capsule):
     assert found.model_moduli["disc, hooke"] == pytest.approx(by_hand, rel=1e-9)
 
 
-def test_another_shape_widens_the_interval(pressed_capsule):
+def test_capsule_measured_by_4_2_has_wide_interval(pressed_capsule):
     """A capsule's dimple measured as (4.2): it says so, and its interval is no 2 % wide."""
     found = of_capsule(pressed_capsule)
     assert found.relative_std > 0.2
@@ -164,7 +164,7 @@ def arcs(angle: float, radius: float = 100.0) -> SimpleNamespace:
     return SimpleNamespace(x=150 + radius * np.sin(t), y=radius * np.cos(t))
 
 
-def test_the_eggs_radius_is_read_where_its_ends_are_steep():
+def test_egg_radius_needs_steep_ends():
     # 60.5° over chords of 20 points: the sine of the fall is a bit below that of the end.
     for angle in (75.0, 63.5):
         assert _egg_radius(arcs(np.deg2rad(angle)), 2.0) == pytest.approx(200.0, rel=1e-3)

@@ -39,7 +39,7 @@ def traced(seed: int = 2, noise: float = 0.15) -> NDArray:
     return smooth(ACROSS) + np.random.default_rng(seed).normal(0, noise, ACROSS.size)
 
 
-def test_the_outline_gives_its_dimple_back() -> None:
+def test_dimple_of_synthetic_outline_matches_truth() -> None:
     truth = manifest()["outline.csv"]["truth"]
     found = dimple_from_outline(X, Y, pixel_size=PIXEL)
     for dimple in (found.left, found.right):
@@ -53,7 +53,7 @@ def test_the_outline_gives_its_dimple_back() -> None:
         assert rise * PIXEL == pytest.approx(dimple.dimple_depth)
 
 
-def test_order_origin_and_unit_of_the_points_do_not_matter() -> None:
+def test_dimple_does_not_depend_on_order_origin_and_unit() -> None:
     plain = dimple_from_outline(X, Y, pixel_size=PIXEL).left
     shuffled = np.random.default_rng(0).permutation(X.size)
     x, y = 0.6 * (X[shuffled] + 700.0), 0.6 * (Y[shuffled] - 300.0)
@@ -67,7 +67,7 @@ def test_order_origin_and_unit_of_the_points_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.15, 0.6])
-def test_the_uncertainty_covers_the_error(noise: float) -> None:
+def test_covariance_matches_errors(noise: float) -> None:
     errors, covariances = [], []
     for seed in range(8 if noise else 1):
         found = dimple_from_outline(ACROSS, traced(seed, noise), pixel_size=1.0)
@@ -83,7 +83,7 @@ def test_the_uncertainty_covers_the_error(noise: float) -> None:
 
 
 @pytest.mark.parametrize("form", ["rounded", "exact", "few"])
-def test_an_outline_without_noise_has_a_finite_uncertainty(form: str) -> None:
+def test_outline_without_noise_has_finite_covariance(form: str) -> None:
     x = ACROSS[::6] if form == "few" else ACROSS
     y = np.round(smooth(x), 3) if form == "rounded" else smooth(x)
     dimple = dimple_from_outline(x, y, pixel_size=1.0).left
@@ -107,7 +107,7 @@ CLOSED = {
 
 
 @pytest.mark.parametrize("kind", CLOSED)
-def test_the_indented_part_of_a_closed_outline_is_taken(kind: str) -> None:
+def test_upper_part_of_closed_outline_is_used(kind: str) -> None:
     """From any point on, in either direction, and with y down."""
     x, y = np.r_[ACROSS, ACROSS[::-1]], np.r_[traced(), CLOSED[kind][::-1]]
     # But for the first and last points, where the parts meet.
@@ -120,21 +120,21 @@ def test_the_indented_part_of_a_closed_outline_is_taken(kind: str) -> None:
                 assert found[2] == (way == -1)
 
 
-def test_the_contour_of_a_mask_at_the_border_is_measured() -> None:
+def test_contour_of_mask_at_border_is_measured() -> None:
     found = dimple_from_outline(*mask_contour(np.full(193, -1.0)), pixel_size=1.0).left
     assert found.dimple_depth == pytest.approx(DEPTH, abs=0.3)  # of whole pixels
 
 
-def test_a_closed_outline_in_any_order_is_refused_by_its_cause() -> None:
+def test_closed_outline_in_random_order_raises() -> None:
     mixed = np.random.default_rng(0).permutation(386)
     x, y = np.r_[ACROSS, ACROSS], np.r_[traced(), np.zeros(193)]
-    with pytest.raises(ValueError, match="one that returns in x must have its points in order"):
+    with pytest.raises(ValueError, match="a closed outline must have its points in order"):
         dimple_from_outline(x[mixed], y[mixed], pixel_size=1.0)
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5])
 @pytest.mark.parametrize("together", [0, 3])
-def test_an_arc_has_no_dimple_however_noisy(noise: float, together: int) -> None:
+def test_noisy_arc_raises(noise: float, together: int) -> None:
     """Such as the edge of a coin; noise of pixels apart, and noise that neighbors share."""
     x = np.arange(300.0) - 150
     for seed in range(6):
@@ -144,7 +144,7 @@ def test_an_arc_has_no_dimple_however_noisy(noise: float, together: int) -> None
             dimple_from_outline(x, np.sqrt(400.0**2 - x**2) + rough, pixel_size=3.9)
 
 
-def test_without_a_dimple_there_is_no_number() -> None:
+def test_outline_without_dimple_raises() -> None:
     with pytest.raises(ValueError, match=r"one dimple, got one of 0 px|between two maxima"):
         dimple_from_outline(X, -(((X - 100) / 20) ** 2), pixel_size=PIXEL)
     with pytest.raises(ValueError, match="outline must have at least 24 points around a dimple"):
@@ -178,7 +178,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_a_table_is_read_in_any_form(name: str, tmp_path: Path) -> None:
+def test_read_outline_accepts_separators_encodings_and_names(name: str, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         file.write_text(TABLES[name], encoding=encoding)
@@ -201,9 +201,7 @@ def test_a_table_is_read_in_any_form(name: str, tmp_path: Path) -> None:
         (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "a table of text"),
     ],
 )
-def test_a_table_that_is_none_is_refused_by_its_line(
-    text: str | bytes, message: str, tmp_path: Path
-) -> None:
+def test_read_outline_error_contains_line(text: str | bytes, message: str, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=rf"points\.csv must (have|be) {message}"):

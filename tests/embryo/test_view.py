@@ -11,7 +11,7 @@ IMAGE = np.arange(7.0 * 9).reshape(7, 9)
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
-def test_points_of_a_turned_image_are_pixels_of_the_image(direction: str) -> None:
+def test_points_of_rotated_image_map_to_pixels_of_image(direction: str) -> None:
     view = View((9, 7), direction)
     part = view.rotate(IMAGE)
     rows, columns = np.indices(part.shape)
@@ -20,7 +20,7 @@ def test_points_of_a_turned_image_are_pixels_of_the_image(direction: str) -> Non
     np.testing.assert_array_equal(IMAGE[y, x], part.ravel())
 
 
-def test_the_edge_that_is_named_is_the_upper_one() -> None:
+def test_named_edge_becomes_upper_edge() -> None:
     edges = {
         "top": IMAGE[0], "bottom": IMAGE[-1][::-1], "left": IMAGE[::-1, 0], "right": IMAGE[:, -1]
     }  # fmt: skip
@@ -30,7 +30,7 @@ def test_the_edge_that_is_named_is_the_upper_one() -> None:
 
 
 @pytest.mark.parametrize("direction", ["top", "right", "bottom", "left"])
-def test_points_of_a_leaning_image_are_found_again(direction):
+def test_points_of_tilted_image_map_back(direction):
     """A blob in the image, and the place where the turned part has it."""
     y, x = np.mgrid[:150, :210].astype(float)
     view = View((210, 150), direction).upright(0.3, np.array([[60.0, 4.0], [75.0, 4.0]]))

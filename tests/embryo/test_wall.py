@@ -25,7 +25,7 @@ def wall(d, shift, ground, step, bump, width):
     width=st.floats(0.8, 1.8),
     step=st.floats(-60, 60),
 )
-def test_exact_profiles_give_the_exact_place(shifts, width, step):
+def test_position_is_exact_for_exact_profiles(shifts, width, step):
     profiles = np.array([wall(D, s, 200.0, step, -40.0, width) for s in shifts])
     found = locate_wall(profiles, D, weights=np.ones_like(profiles))
     # A third of what noise of 2/255 moves a point by.
@@ -33,7 +33,7 @@ def test_exact_profiles_give_the_exact_place(shifts, width, step):
     assert found.blur == pytest.approx(width, abs=0.02)
 
 
-def test_agrees_with_curve_fit_and_states_its_spread():
+def test_position_matches_curve_fit_and_std_matches_scatter():
     rng = np.random.default_rng(2)
     shifts = rng.uniform(-1.0, 1.0, 400)
     # Independent noise wants samples one px apart: closer ones share what the sensor saw.
@@ -52,7 +52,7 @@ def test_agrees_with_curve_fit_and_states_its_spread():
         assert found.position[k] == pytest.approx(fit[0], abs=1e-4)
 
 
-def test_left_out_samples_do_not_count():
+def test_samples_of_zero_weight_are_not_used():
     profiles = np.array([wall(D, 0.4, 190.0, -27.0, -35.0, 1.05)] * 3)
     spoiled = profiles.copy()
     spoiled[:, D < -2] = 40.0
@@ -63,7 +63,7 @@ def test_left_out_samples_do_not_count():
     assert not np.allclose(off, 0.4, atol=0.1)
 
 
-def test_no_wall_is_no_number():
+def test_position_is_nan_without_wall():
     profiles = np.array([wall(D, s, 190.0, -27.0, -35.0, 1.05) for s in (0.0, 0.5, 4.5)])
     weights = np.ones_like(profiles)
     weights[1, D < 1.0] = 0  # only its inner side is seen
@@ -73,7 +73,7 @@ def test_no_wall_is_no_number():
         locate_wall(profiles, D, weights=np.zeros_like(profiles))
 
 
-def test_a_wall_is_sought_within_its_reach_and_its_range_of_blur():
+def test_wall_is_found_within_search_range_and_blur_range():
     d = np.arange(-6.0, 6.01, 0.5)
     for width in (0.7, 1.8):
         exact = np.array([wall(d, s, 190.0, -27.0, -35.0, width) for s in (-2.4, 0.0, 2.4)])
