@@ -108,9 +108,9 @@ LAWS = {
         within=1e-6,
     ),
     "embryo.dimple_from_outline": TestedBy(
-        test_outline.test_order_origin_and_unit_of_the_points_do_not_matter
+        test_outline.test_dimple_does_not_depend_on_order_origin_and_unit
     ),
-    "embryo.read_outline": TestedBy(test_outline.test_a_table_is_read_in_any_form),
+    "embryo.read_outline": TestedBy(test_outline.test_read_outline_accepts_separators_encodings_and_names),
     # A search ends at a relative change of 1e-8, its sum of squares at the noise.
     "embryo.fit_gaussians": Row(
         lambda u: {
