@@ -178,7 +178,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_read_outline_accepts_separators_encodings_and_names(name: str, tmp_path: Path) -> None:
+def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         file.write_text(TABLES[name], encoding=encoding)

@@ -110,7 +110,7 @@ LAWS = {
     "embryo.dimple_from_outline": TestedBy(
         test_outline.test_dimple_does_not_depend_on_order_origin_and_unit
     ),
-    "embryo.read_outline": TestedBy(test_outline.test_read_outline_accepts_separators_encodings_and_names),
+    "embryo.read_outline": TestedBy(test_outline.test_read_outline_accepts_common_forms),
     # A search ends at a relative change of 1e-8, its sum of squares at the noise.
     "embryo.fit_gaussians": Row(
         lambda u: {
