@@ -194,14 +194,6 @@ def test_deep_dimple_warns_of_small_slopes() -> None:
         dimple_depth(5000.0, 250.0, 1.0, **FILM)
 
 
-def test_printed_zeta_does_not_give_printed_modulus() -> None:
-    """Backs the erratum of Table 5.6: (5.2) at ζ = 44.78, which no probe can have."""
-    z, a, depth = 44.78, 246.95, 121.22
-    bracket = 1 - z**2 + np.log(z**2)
-    shape = (3 - 4 * z**2 + z**4 + 2 * np.log(z**2)) / ((1 - z**2) * bracket**3)
-    assert 197.24 * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) / shape > 1e5  # MPa
-
-
 def test_shapes_that_do_not_broadcast_raise() -> None:
     with pytest.raises(ValueError, match="broadcast"):
         dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
