@@ -139,7 +139,7 @@ def test_side_and_gap_are_measured(side):
     ("kind", "size", "blur", "most"),
     [("square", 0.9, 1.0, 0.01), ("circle", 0.42, 2.0, 0.008)],
 )
-def test_marks_whose_blur_meets_do_not_draw_each_other(kind, size, blur, most):
+def test_overlapping_blur_of_neighbors_adds_no_bias(kind, size, blur, most):
     """A gap of 3.4 px at a blur of 1 px, and one of 5.4 px at 2 px."""
     detect = detect_squares if kind == "square" else detect_circles
     image, truth = board(SQUARE, kind, size, blur=blur, noise=1.0)
@@ -163,7 +163,7 @@ def test_marks_whose_blur_meets_do_not_draw_each_other(kind, size, blur, most):
     ids=["bright", "faint", "barrel", "cushion", "camera", "bright, coins", "brick"],
 )
 @pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
-def test_boards_are_found_whole_in_clutter_and_either_polarity(kind, size, change):
+def test_all_marks_are_detected_in_clutter_and_in_both_polarities(kind, size, change):
     image, truth = board(SQUARE, kind, size, **change)
     found = (detect_circles if kind == "circle" else detect_squares)(image)
     assert len(found.points) >= 0.97 * len(truth)
@@ -173,7 +173,7 @@ def test_boards_are_found_whole_in_clutter_and_either_polarity(kind, size, chang
     assert 0.7 < held(found, truth) < 1.6
 
 
-def test_color_becomes_luminance():
+def test_color_image_is_converted_to_luminance():
     grey, _ = board(SQUARE)
     color = np.stack([grey, grey // 2 + 60, 255 - grey // 4], axis=-1)
     by_color = detect_circles(color)
@@ -188,7 +188,7 @@ def test_color_becomes_luminance():
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3])
-def test_a_hexagonal_lattice_is_found_by_name_only(turn):
+def test_hexagonal_lattice_is_detected_by_its_name_only(turn):
     image, truth = board(HEXAGONAL, pitch=32.0, turn=turn)
     with pytest.raises(ValueError, match="on a square lattice, got steps of"):
         detect_circles(image)
@@ -201,7 +201,7 @@ def test_a_hexagonal_lattice_is_found_by_name_only(turn):
     np.testing.assert_allclose(world, expected - expected.mean(axis=0), atol=1e-9)
 
 
-def test_an_asymmetric_grid_counts_half_steps_and_rows():
+def test_asymmetric_grid_has_coordinates_in_half_steps_and_rows():
     image, truth = board(ASYMMETRIC, size=0.35, pitch=26.0)
     found = detect_circles(image, lattice="asymmetric")
     assert len(found.points) == len(truth)
@@ -210,14 +210,14 @@ def test_an_asymmetric_grid_counts_half_steps_and_rows():
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
-def test_a_square_lattice_is_no_hexagonal_one_and_a_rectangular_one_neither():
+def test_circles_on_other_lattices_are_rejected():
     with pytest.raises(ValueError, match="image must show"):
         detect_circles(board(SQUARE)[0], lattice="hexagonal")
     with pytest.raises(ValueError, match=r"square lattice, got steps of 1 : 1.3"):
         detect_circles(board(SQUARE * [1.0, 1.3], pitch=26.0)[0])
 
 
-def test_rectangles_are_no_squares():
+def test_rectangles_are_rejected():
     with pytest.raises(ValueError, match="rectangles"):
         detect_squares(board(SQUARE * [1.0, 1.3], "square", 0.5, pitch=26.0)[0])
 
@@ -254,7 +254,7 @@ def test_a_detector_rejects_another_pattern(asked, shown, image):
 
 
 @pytest.mark.parametrize("block", [17, 29])
-def test_no_outline_is_fitted_to_what_has_none(block):
+def test_marks_without_outline_are_rejected(block):
     """Of fields with markers in them the fit took 16 s."""
     blocks = np.random.default_rng(0).integers(0, 2, (30, 40)) * 255.0
     image = np.kron(blocks, np.ones((block, block))).astype(np.float32)
@@ -267,7 +267,7 @@ def test_no_outline_is_fitted_to_what_has_none(block):
 
 
 @pytest.mark.parametrize(("size", "blur", "fewest"), [(0.46, 1.0, 35), (0.48, 1.0, 30)])
-def test_circles_that_nearly_touch_are_found(size, blur, fewest):
+def test_circles_that_nearly_touch_are_detected(size, blur, fewest):
     """The places between them look as the fields of a chessboard do, for which they were taken."""
     image, truth = board(SQUARE, size=size, blur=blur)
     found = detect_circles(image)
@@ -275,13 +275,13 @@ def test_circles_that_nearly_touch_are_found(size, blur, fewest):
     assert np.abs(beside(found, truth)).max() < 0.2
 
 
-def test_the_places_between_blurred_circles_are_no_circles():
+def test_gaps_between_blurred_circles_are_rejected():
     """They are round and bright, as the circles are round and dark."""
     with pytest.raises(ValueError, match="image must show"):
         detect_circles(board(SQUARE, size=0.4, blur=5.0)[0])
 
 
-def test_four_circles_in_clutter_are_no_grid():
+def test_four_circles_are_rejected_in_clutter_only():
     """A homography leads to any four: alone in the image they are taken on trust."""
     four = SQUARE[(SQUARE < 2).all(axis=1)]
     assert len(detect_circles(board(four)[0]).points) == 4
@@ -291,7 +291,7 @@ def test_four_circles_in_clutter_are_no_grid():
 
 @pytest.mark.parametrize("detect", [detect_circles, detect_squares])
 @pytest.mark.parametrize("seed", range(3))
-def test_marks_of_chance_are_no_lattice(detect, seed):
+def test_randomly_placed_marks_are_rejected(detect, seed):
     rng = np.random.default_rng(seed)
     image = np.full((HEIGHT, WIDTH), 200, np.uint8)
     for x, y in rng.uniform([10, 10], [WIDTH - 10, HEIGHT - 10], (60, 2)).astype(int):
@@ -305,7 +305,7 @@ def test_marks_of_chance_are_no_lattice(detect, seed):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_a_map_of_marks_of_chance_is_finite_or_refused(seed):
+def test_map_of_random_points_is_finite_or_rejected(seed):
     """A horizon between the marks, or a step towards one, ended in what NumPy says of NaN."""
     rng = np.random.default_rng(seed)
     cells, points = rng.integers(-3, 4, (8, 2)).astype(float), rng.uniform(0, 300, (8, 1, 2))
@@ -323,7 +323,7 @@ def test_a_map_of_marks_of_chance_is_finite_or_refused(seed):
 # The final test
 
 
-def test_the_stated_error_is_that_of_the_residuals_where_larger():
+def test_sigma_is_that_of_the_residuals_if_larger():
     """A board whose circles were printed 0.1 px beside their places."""
     rng = np.random.default_rng(3)
     shifted = SQUARE + rng.normal(0, 0.1 / 34, SQUARE.shape)
@@ -337,14 +337,14 @@ def test_the_stated_error_is_that_of_the_residuals_where_larger():
     assert detect_circles(board(SQUARE)[0]).misfit < 1.5
 
 
-def test_marks_off_a_lattice_are_refused():
+def test_marks_far_from_a_lattice_are_rejected():
     rng = np.random.default_rng(4)
     image, _ = board(SQUARE + rng.uniform(-0.08, 0.08, SQUARE.shape))
     with pytest.raises(ValueError, match="regular lattice"):
         detect_circles(image)
 
 
-def test_a_stray_mark_is_dropped():
+def test_displaced_mark_is_an_outlier():
     places = SQUARE.copy()
     places[17] += [0.12, 0.0]  # 4 px
     image, _ = board(places)
@@ -354,7 +354,7 @@ def test_a_stray_mark_is_dropped():
 
 
 @pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
-def test_a_stray_mark_beyond_the_edge_is_dropped(kind, size):
+def test_displaced_mark_outside_the_grid_is_an_outlier(kind, size):
     """Alone in its column it bends the map towards itself and leaves hardly a residual."""
     beyond = np.array([[SQUARE[:, 0].max() + 1.1, 0.15]])
     image, every = board(np.vstack([SQUARE, beyond]), kind, size)
@@ -392,7 +392,7 @@ def chessboard(**change):
     ],
     ids=["plain", "blurred", "noisy", "turned", "barrel", "negative", "clutter"],
 )
-def test_every_inner_corner_of_a_chessboard_is_found(change):
+def test_all_inner_corners_of_a_chessboard_are_detected(change):
     image, truth = chessboard(**change)
     found = detect_squares(image, pattern="chessboard")
     assert len(found.points) == len(truth)
@@ -413,7 +413,7 @@ def test_every_inner_corner_of_a_chessboard_is_found(change):
         ("circles, hexagonal lattice", board(HEXAGONAL, pitch=32.0)[0]),
     ],
 )
-def test_a_pattern_is_named_that_nobody_asked_for(name, image):
+def test_detect_pattern_names_the_pattern(name, image):
     named, found = detect_pattern(image)
     assert named == name
     assert detect_pattern(image, name.split(",")[0])[1].points.tolist() == found.points.tolist()
@@ -461,7 +461,7 @@ def field_steps(found, fields):
         (12, 4, 50.0, {"k": 0.2}),
     ],
 )
-def test_steps_of_a_board_are_its_fields(columns, rows, side, change):
+def test_grid_steps_of_large_boards_are_single_fields(columns, rows, side, change):
     """On the first OpenCV's finder gave steps of (2, 1) and (0, 1) fields."""
     image, fields = many_fields(columns, rows, side, **change)
     found = detect_squares(image, pattern="chessboard")
@@ -471,14 +471,14 @@ def test_steps_of_a_board_are_its_fields(columns, rows, side, change):
     assert len(found.points) >= 0.95 * (columns - 1) * (rows - 1)
 
 
-def test_the_found_corners_of_a_board_that_is_cut_off_are_kept():
+def test_corners_of_a_cropped_board_are_kept():
     image, fields = many_fields(12, 9, 90.0, turn=0.3)
     found = detect_squares(image, pattern="chessboard")
     assert len(found.points) > 40
     assert field_steps(found, fields)[1] < 0.02
 
 
-def test_an_image_has_one_result_whatever_was_detected_before():
+def test_detection_is_independent_of_earlier_images():
     image, _ = many_fields(20, 14, 30.0)
     first = detect_squares(image, pattern="chessboard")
     for seed in range(10):
@@ -489,7 +489,7 @@ def test_an_image_has_one_result_whatever_was_detected_before():
     np.testing.assert_allclose(again.points, first.points, atol=1e-9)
 
 
-def test_corners_between_sharpened_edges_are_kept():
+def test_corners_of_a_sharpened_image_are_detected():
     """Cameras sharpen: an edge then is narrower than a pixel, where the model had no derivative."""
     image, truth = chessboard(blur=0.5)
     sharp = image + 0.7 * (image.astype(float) - cv2.GaussianBlur(image, (0, 0), 1.0))
@@ -498,7 +498,7 @@ def test_corners_between_sharpened_edges_are_kept():
     assert np.abs(beside(found, truth)).max() < 0.1
 
 
-def test_marks_of_every_second_place_are_no_lattice(monkeypatch):
+def test_sublattice_is_rejected_by_its_correlation(monkeypatch):
     """Had the growth skipped marks, the image would not correlate with the drawn pattern."""
     image, _ = board(SQUARE)
     grown = patterns.grow_lattices

@@ -69,7 +69,7 @@ def repeat(scope, world, seeds, **options):
     shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
 )
 @settings(deadline=None, max_examples=40)
-def test_radial_alignment_is_exact_whatever_the_lens(alpha, beta, gamma, behind, distortion, shift):
+def test_radial_alignment_is_exact_for_any_lens(alpha, beta, gamma, behind, distortion, shift):
     gamma += np.pi * behind
     scope = Microscope(2e5, 1.3e5, 8e4, distortion, alpha, beta, gamma, *shift)
     world = grid_in_view(scope)
@@ -99,7 +99,7 @@ def test_linear_intrinsics(distortion, precision):
     np.testing.assert_allclose(found, truth, rtol=precision, atol=1e-20)
 
 
-def test_the_three_lengths_are_never_determined():
+def test_three_lengths_are_undetermined_at_any_tilt():
     """T_op + f and f + d are all that any view of a plane shows, at any tilt."""
     for tilt in (0, 2, 30):
         scope = scope_with(tilt, tilt)
@@ -140,7 +140,7 @@ def test_exact_data_gives_exact_parameters(alpha, beta, gamma, behind, magnifica
     )
 
 
-def test_the_focal_length_is_found_from_a_tilted_plane():
+def test_focal_length_follows_from_a_tilted_plane():
     scope = scope_with(10, 170)
     world = grid_in_view(scope)
     found = calibrate(world, scope.project(world), **SENSOR)
@@ -150,7 +150,7 @@ def test_the_focal_length_is_found_from_a_tilted_plane():
 
 
 @pytest.mark.parametrize("tilt", [2, 20])
-def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
+def test_sigma_equals_cramer_rao_bound_and_intervals_cover(tilt):
     """f given. 60 runs of 7 parameters: 95 % ± 1.1 % if independent; correlated, allow 91 to 99
     %."""
     scope = scope_with(tilt, 0.6 * tilt)
@@ -172,7 +172,7 @@ def test_stated_errors_meet_the_bound_and_intervals_cover(tilt):
     assert np.abs(np.array(errors)[:, 0]).max() / scope.magnification < 1e-4
 
 
-def test_a_parallel_plane_tells_no_focal_length():
+def test_focal_length_is_undetermined_for_a_parallel_plane():
     scope = scope_with(0, 180)
     world = grid_in_view(scope)
     for found in repeat(scope, world, 5):
@@ -195,7 +195,7 @@ def disturbed(points, rng):
     yield points * (1 + 1e-15 * rng.normal(size=points.shape))
 
 
-def test_rounding_decides_nothing():
+def test_rounding_does_not_change_undetermined_parameters():
     """Exact points of many parallel planes: f and the tilt are lost, and the tilt with f is not."""
     for plane in range(6):
         rng = np.random.default_rng(plane)
@@ -219,7 +219,7 @@ def test_rounding_decides_nothing():
             assert given.adequate
 
 
-def test_rounding_adds_no_term_to_a_lens_of_several_views():
+def test_rounding_does_not_add_lens_parameters():
     scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10), (4, -14))]
     world = [grid_in_view(scope) for scope in scopes]
     rng = np.random.default_rng(0)
@@ -231,7 +231,7 @@ def test_rounding_adds_no_term_to_a_lens_of_several_views():
         assert found.adequate
 
 
-def test_a_hidden_sign_of_the_tilt_is_named():
+def test_tilt_is_undetermined_if_its_sign_is():
     """A far objective: foreshortening shows the tilt, perspective is lost in noise, so its sign is
     too."""
     f = 4e7
@@ -243,7 +243,7 @@ def test_a_hidden_sign_of_the_tilt_is_named():
         assert np.isfinite(found.sigma["magnification"])
 
 
-def test_an_interval_is_that_of_the_inverse_of_the_focal_length():
+def test_interval_of_focal_length_is_that_of_its_reciprocal():
     """1/f ± t σ(1/f), turned over; the others straight; both widen with the level."""
     scope = scope_with(10, 170)
     world = grid_in_view(scope)
@@ -259,7 +259,7 @@ def test_an_interval_is_that_of_the_inverse_of_the_focal_length():
     assert (high - low) / 2 == pytest.approx(quantile * found.sigma["alpha"], rel=1e-9)
 
 
-def test_group_covariance_is_the_jackknife():
+def test_covariance_of_squares_equals_leaving_out_one_square():
     """In closed form, against leaving out one square after the other and calibrating again."""
     scope = scope_with()
     cells = 400.0 * np.argwhere(np.ones((5, 7)))
@@ -294,7 +294,7 @@ def test_group_covariance_is_the_jackknife():
     )
 
 
-def test_a_detection_brings_all_but_the_scales():
+def test_detections_need_only_pitch_and_pixel_size():
     scope = Microscope(2e5, 126000, 79380, tx=-450, ty=-330, beta=0.1, image_size=(260, 220))
     views = [scope, replace(scope, beta=-0.15, gamma=0.1)]
     found = [detect_squares(render_squares(view)) for view in views]
@@ -339,7 +339,7 @@ LINE = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
         (WORLD, IMAGE, {"image_size": (491, 656)}, r"image_size of \(width, height\)"),
     ],
 )
-def test_bad_input_is_named(world, image, change, word):
+def test_wrong_input_is_rejected_by_name(world, image, change, word):
     with pytest.raises(ValueError, match=word):
         calibrate(world, image, **{"focal_length": F, **SENSOR, **change})
 
@@ -359,11 +359,11 @@ def seen_by_a_lens(scope, world, *, bend=0.0, aside=(0.0, 0.0), fifth=0.0):
 
 
 @pytest.mark.parametrize(
-    ("lack", "fits"),
+    ("lack", "adequate"),
     [({}, True), ({"bend": 60.0}, False), ({"aside": (8, -6)}, False), ({"fifth": 3e-13}, False)],
     ids=["none", "bent", "aside", "fifth order"],
 )
-def test_a_model_that_does_not_fit_says_so(lack, fits):
+def test_inadequate_model_has_small_p_value_and_larger_sigma(lack, adequate):
     scope = scope_with(beta=12, gamma=9)
     world = grid_in_view(scope)
     said, sigmas = [], []
@@ -374,12 +374,14 @@ def test_a_model_that_does_not_fit_says_so(lack, fits):
         sigmas.append(found.sigma["focal_length"])
     # One in a thousand by chance; seen_by_a_lens ends the inverse of (2.10) after three terms,
     # within 0.001 px.
-    assert np.mean(said) >= 0.9 if fits else np.mean(said) <= 0.1
+    assert np.mean(said) >= 0.9 if adequate else np.mean(said) <= 0.1
     exact = [c.sigma["focal_length"] for c in repeat(scope, world, 3)]
-    assert np.median(sigmas) < 1.5 * np.median(exact) if fits else np.median(sigmas) > 2 * exact[0]
+    assert (
+        np.median(sigmas) < 1.5 * np.median(exact) if adequate else np.median(sigmas) > 2 * exact[0]
+    )
 
 
-def test_points_that_no_microscope_images_are_refused():
+def test_random_points_are_rejected_by_the_library():
     """The linear start lies beyond the reach of its distortion: nothing of SciPy comes out."""
     refusals = []
     for seed in range(4):
@@ -475,7 +477,7 @@ def test_jacobian_of_views_is_the_complex_step_derivative(focal_length):
         np.testing.assert_allclose(derivative, exact, atol=1e-10 * np.abs(exact).max())
 
 
-def test_several_views_find_what_opencv_finds():
+def test_several_views_agree_with_opencv():
     world, image = lens_views(4, aside=(14, -9), second=0.15)
     found = calibrate(world, image, **CAMERA)
     assert {"principal_x", "principal_y", "distortion_2"} <= set(found.parameters)
@@ -504,7 +506,7 @@ def test_several_views_find_what_opencv_finds():
     assert np.sqrt(((seen - image[1]) ** 2).mean()) < 1.1 * NOISE
 
 
-def test_terms_that_nothing_speaks_for_are_left_out():
+def test_bic_leaves_out_needless_lens_parameters():
     scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10), (4, -14))]
     world = [grid_in_view(scope) for scope in scopes]
     left_out = 0
@@ -520,7 +522,7 @@ def test_terms_that_nothing_speaks_for_are_left_out():
     assert found.parameters[3:10] == (*POSE[1:], "magnification_2", "alpha_2")
 
 
-def test_a_held_out_error_is_that_of_opencv_with_the_others_lens():
+def test_held_out_error_agrees_with_opencv():
     """Of views through one lens that of the noise; of a wide lens, what the model lacks."""
     world, image = lens_views(5, aside=(14, -9))
     found = calibrate(world, image, **CAMERA)
@@ -539,7 +541,7 @@ def test_a_held_out_error_is_that_of_opencv_with_the_others_lens():
     assert np.isnan(calibrate(world[:2], image[:2], **CAMERA).held_out).all()
 
 
-def test_a_view_of_another_lattice_is_held_out_worse_than_the_others():
+def test_inconsistent_view_has_the_largest_held_out_error():
     """As if every second row of a board had been skipped in one photograph."""
     world, image = lens_views(6, aside=(14, -9))
     world[2] = world[2] * [1, 2]
@@ -549,7 +551,7 @@ def test_a_view_of_another_lattice_is_held_out_worse_than_the_others():
     assert not found.adequate
 
 
-def test_intervals_of_several_views_cover_also_for_an_imprecise_pattern():
+def test_intervals_of_several_views_cover_for_an_imprecise_pattern():
     """Marks made beside their places are so in every view: 0.13 px, for 0.02 px of noise."""
     inside = []
     for seed in range(10):
@@ -559,7 +561,7 @@ def test_intervals_of_several_views_cover_also_for_an_imprecise_pattern():
     assert sum(inside) >= 7  # of 10 at 95 %, in 999 of a thousand cases
 
 
-def test_several_views_with_a_given_focal_length():
+def test_given_focal_length_is_kept_in_every_view():
     scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10))]
     world = [grid_in_view(scope) for scope in scopes]
     image = [s.project(w) for s, w in zip(scopes, world, strict=True)]
@@ -573,7 +575,7 @@ def test_several_views_with_a_given_focal_length():
     assert single.views == (single.microscope,)
 
 
-def test_views_that_tell_no_focal_length_say_so():
+def test_focal_length_is_undetermined_for_several_parallel_views():
     scope = scope_with(beta=0, gamma=0)
     world = grid_in_view(scope)
     noise = np.random.default_rng(0).normal(0, NOISE, (3, *world.shape))
@@ -582,7 +584,7 @@ def test_views_that_tell_no_focal_length_say_so():
     assert np.isinf(found.sigma["focal_length"])
 
 
-def test_a_focal_length_beyond_a_kilometer_is_given_as_the_points_tell_it():
+def test_determined_focal_length_may_exceed_a_kilometer():
     """Of a pattern in another unit than µm: it was put at one, with an interval around it."""
     scope = scope_with(beta=15, gamma=10)
     world = grid_in_view(scope)
@@ -592,7 +594,7 @@ def test_a_focal_length_beyond_a_kilometer_is_given_as_the_points_tell_it():
     assert low < 1e5 * F < high
 
 
-def test_an_interval_holds_what_a_bend_hides():
+def test_interval_covers_the_error_by_a_bent_pattern():
     """A plate bent by 20 µm, seen in three views whose lens has its axis found: the residuals show
     the bend, and the interval of f is as wide as the bend may have moved it."""
     inside, said = [], []
@@ -614,7 +616,7 @@ def test_an_interval_holds_what_a_bend_hides():
         ({"focal_length": 1.5}, "focal_length must fit each view .* got 1.5 µm"),
     ],
 )
-def test_bad_views_are_named(change, word):
+def test_wrong_views_are_rejected_by_name(change, word):
     world, image = lens_views(2)
     with pytest.raises(ValueError, match=word):
         calibrate(**{"world": world, "image": image, **CAMERA, **change})

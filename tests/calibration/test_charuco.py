@@ -41,7 +41,7 @@ def drawn(
         (30, 12, "4X4_1000", 0.7, False, 0),
     ],
 )
-def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, left) -> None:
+def test_charuco_corners_are_accurate_and_named(columns, rows, name, ratio, old, left) -> None:
     image, truth = drawn(columns, rows, name, ratio=ratio, old=old, left=left)
     named, found = detect_pattern(image)
     assert named == "charuco"
@@ -55,7 +55,7 @@ def test_the_corners_are_where_they_were_drawn(columns, rows, name, ratio, old, 
     assert found.sigma[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
 
 
-def test_an_inverted_board_has_the_same_corners() -> None:
+def test_inverted_charuco_board_has_the_same_corners() -> None:
     image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
     plain, inverted = detect_charuco(image), detect_charuco(255 - image)
     np.testing.assert_array_equal(inverted.grid, plain.grid)
@@ -65,7 +65,7 @@ def test_an_inverted_board_has_the_same_corners() -> None:
 
 @pytest.mark.parametrize("noise", [2.0, 15.0])
 @pytest.mark.parametrize("blur", [0.0, 1.5])
-def test_a_board_without_markers_is_no_charuco_board(noise, blur) -> None:
+def test_chessboard_without_markers_is_not_named_charuco(noise, blur) -> None:
     """In one photograph the blur of a chessboard hid it from its own detector."""
     board = np.kron(np.indices((6, 7)).sum(axis=0) % 2, np.ones((20, 20)))
     image = 40 + 160 * np.pad(board, 20, constant_values=0.5)
@@ -76,7 +76,7 @@ def test_a_board_without_markers_is_no_charuco_board(noise, blur) -> None:
         detect_charuco(image)
 
 
-def test_a_charuco_board_is_no_chessboard() -> None:
+def test_charuco_board_is_rejected_as_a_chessboard() -> None:
     """The corners that are farthest from markers were 12 of 24."""
     image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
     with pytest.raises(ValueError, match="with markers in its fields"):

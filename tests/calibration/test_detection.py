@@ -53,7 +53,7 @@ def errors(scope, found, pitch):
 # Rendering
 
 
-def test_a_straight_edge_is_rendered_as_its_exact_integral():
+def test_rendered_edge_equals_its_exact_integral():
     image = render_squares(
         SMALL, side=20 * 9.9 / 2, counts=(1, 1), imaging=ImagingConditions(blur=1.3)
     )
@@ -68,7 +68,7 @@ def test_a_straight_edge_is_rendered_as_its_exact_integral():
 
 @given(turn=st.floats(0, 2 * np.pi), x=st.floats(-3, 3), y=st.floats(-3, 3))
 @settings(deadline=None, max_examples=15)
-def test_covered_areas_are_exact(turn, x, y):
+def test_rendered_areas_are_exact(turn, x, y):
     """Without blur, the dark area of one shape is its area on the sensor."""
     scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, image_size=(80, 80))
     sharp = ImagingConditions(blur=0.0)
@@ -82,7 +82,7 @@ def test_covered_areas_are_exact(turn, x, y):
     assert square * pixel**2 == pytest.approx(100**2, rel=1e-5)
 
 
-def test_noise_is_that_of_its_seed():
+def test_rendered_noise_follows_its_seed_and_sigma():
     noisy = ImagingConditions(noise=3.0)
     one, again, other = (render_squares(SMALL, imaging=noisy, rng=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
@@ -118,7 +118,7 @@ def whole_squares(scope, side):
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("scope", [CIRCLE_1X, CIRCLE_4X])
-def test_every_whole_circle_of_the_thesis_views_is_found(scope, seed):
+def test_all_complete_circles_of_thesis_views_are_detected(scope, seed):
     rng = np.random.default_rng(seed)
     scope = replace(scope, tx=scope.tx + rng.uniform(-20, 20), ty=scope.ty + rng.uniform(-20, 20))
     image = render_circles(scope, imaging=ImagingConditions(noise=2.0), rng=rng)
@@ -130,7 +130,7 @@ def test_every_whole_circle_of_the_thesis_views_is_found(scope, seed):
 
 
 @pytest.mark.parametrize(("scope", "side"), [(SQUARE_1X, 200.0), (SQUARE_4X, 50.0)])
-def test_every_corner_of_whole_squares_of_the_thesis_views_is_found(scope, side):
+def test_all_complete_squares_of_thesis_views_are_detected(scope, side):
     rng = np.random.default_rng(3)
     image = render_squares(scope, side=side, imaging=ImagingConditions(noise=2.0), rng=rng)
     found = detect_squares(image)
@@ -146,7 +146,7 @@ def test_every_corner_of_whole_squares_of_the_thesis_views_is_found(scope, side)
     ("blur", "noise", "circle_limit", "square_limit"),
     [(0.7, 2, 0.010, 0.025), (1.5, 8, 0.034, 0.052), (3.0, 2, 0.016, 0.033)],
 )
-def test_localization_beats_the_limits_and_states_its_error(
+def test_localization_error_is_below_limits_and_equals_sigma(
     blur, noise, circle_limit, square_limit
 ):
     """RMS per coordinate at 30 px pitch, contrast 140; limits are those OpenCV's detectors are held
@@ -169,7 +169,7 @@ def test_localization_beats_the_limits_and_states_its_error(
         assert rms / np.sqrt((found.sigma**2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
-def test_the_bias_of_circles_under_perspective_is_removed():
+def test_bias_of_circles_under_perspective_is_removed():
     scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
     image = render_circles(scope, radius=60, pitch=200, counts=(8, 6))
     found = detect_circles(image)
@@ -192,7 +192,7 @@ def test_noise_free_squares_have_no_bias():
     assert np.abs(errors(SQUARE_1X, found, 200.0)).max() < 0.002
 
 
-def test_bent_sides_do_not_pull_the_corners():
+def test_bias_of_corners_under_distortion_is_removed():
     """Lines through the sides of a strongly distorted square cross beside its corners."""
     scope = Microscope(2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, image_size=(420, 340))
     found = detect_squares(render_squares(scope, side=300.0))
@@ -202,7 +202,7 @@ def test_bent_sides_do_not_pull_the_corners():
     assert np.abs(errors(scope, found, 300.0)).max() < 0.02
 
 
-def test_uneven_light_does_no_harm():
+def test_uneven_light_adds_no_bias():
     rng = np.random.default_rng(6)
     imaging = ImagingConditions(blur=1.5, noise=4.0, vignetting=0.4, gradient=(0.4, -0.2))
     image = render_circles(CIRCLE_1X, imaging=imaging, rng=rng)
@@ -214,7 +214,7 @@ def test_uneven_light_does_no_harm():
     assert np.abs(error.mean(axis=0)).max() < 0.004
 
 
-def test_dirt_is_not_taken_for_a_circle():
+def test_dirt_is_not_detected_as_a_circle():
     rng = np.random.default_rng(7)
     image = render_circles(CIRCLE_1X, imaging=ImagingConditions(noise=2.0), rng=rng)
     clean = detect_circles(image)
@@ -230,7 +230,7 @@ def test_dirt_is_not_taken_for_a_circle():
     assert np.hypot(*(found.points - first).T).min() > 10
 
 
-def test_circles_are_not_taken_for_squares_nor_squares_for_circles():
+def test_circles_and_squares_are_not_confused():
     rng, imaging = np.random.default_rng(9), ImagingConditions(blur=3.0, noise=10.0)
     circles = render_circles(CIRCLE_1X, imaging=imaging, rng=rng)
     squares = render_squares(SQUARE_1X, side=200.0, imaging=imaging, rng=rng)
@@ -259,6 +259,6 @@ def test_circles_are_not_taken_for_squares_nor_squares_for_circles():
     ],
     ids=["saturated", "black", "empty", "color", "nan", "noise", "ramp", "columns", "one line"],
 )
-def test_images_without_a_pattern_are_refused(detect, image):
+def test_images_without_a_pattern_are_rejected(detect, image):
     with pytest.raises(ValueError, match="image"):
         detect(image)

@@ -62,7 +62,7 @@ def scale(
         {"lines": 6, "spacing": 45.0, "width": 0.1, "length": 40.0},
     ],
 )
-def test_the_distance_of_the_lines_is_found(change):
+def test_spacing_of_scale_lines_is_accurate(change):
     found = detect_micrometer(scale(**change))
     true = change.get("spacing", 12.3)
     # Noise leaves 0.0002 to 0.0015 px; a wrong line would be 1/16 of a spacing.
@@ -83,7 +83,7 @@ def test_the_distance_of_the_lines_is_found(change):
     assert -5 < along.min() <= along.max() < change.get("length", 30.0) + 5
 
 
-def test_lines_missing_and_beside_their_places():
+def test_missing_line_is_skipped_and_uneven_lines_are_rejected():
     """A line that is gone is skipped in the count; one in the wrong place is no scale's."""
     image = scale(angle=0.0, numerals=False)
     whole = detect_micrometer(image)
@@ -102,7 +102,7 @@ def test_lines_missing_and_beside_their_places():
 
 @pytest.mark.parametrize("spacing", [7.7, 13.7])
 @pytest.mark.parametrize("angle", [0.0, 0.2])
-def test_uneven_light_does_no_harm_to_a_scale(spacing, angle):
+def test_uneven_light_adds_no_bias_to_a_scale(spacing, angle):
     """Light that falls to a quarter moved the centers of the lines by a twentieth of a division."""
     y, x = np.mgrid[:HEIGHT, :WIDTH] / np.array([HEIGHT, WIDTH])[:, None, None]
     light = (1 - 0.5 * x) * (1 - 0.8 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))

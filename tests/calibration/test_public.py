@@ -86,13 +86,13 @@ LAWS = {
         lambda u: {"self": calibrated(u.um), "level": 0.9}, um, within=SEARCHED
     ),
     "calibration.Calibration.to_json": TestedBy(
-        test_stage.test_opencv_projects_from_the_json_as_the_microscope_does
+        test_stage.test_opencv_projection_from_json_equals_the_model
     ),
     "calibration.Calibration.from_json": TestedBy(
-        test_stage.test_a_calibration_returns_from_its_files
+        test_stage.test_calibration_survives_json_and_csv
     ),
     "calibration.Detection": TestedBy(
-        test_detection.test_localization_beats_the_limits_and_states_its_error
+        test_detection.test_localization_error_is_below_limits_and_equals_sigma
     ),
     "calibration.cramer_rao": Row(
         lambda u: {
@@ -108,19 +108,19 @@ LAWS = {
         within=1e-6,
     ),
     "calibration.detect_charuco": TestedBy(
-        test_charuco.test_the_corners_are_where_they_were_drawn
+        test_charuco.test_charuco_corners_are_accurate_and_named
     ),
     "calibration.detect_circles": TestedBy(
-        test_detection.test_every_whole_circle_of_the_thesis_views_is_found
+        test_detection.test_all_complete_circles_of_thesis_views_are_detected
     ),
     "calibration.detect_micrometer": TestedBy(
-        test_micrometer.test_the_distance_of_the_lines_is_found
+        test_micrometer.test_spacing_of_scale_lines_is_accurate
     ),
     "calibration.detect_pattern": TestedBy(
-        test_boards.test_a_pattern_is_named_that_nobody_asked_for
+        test_boards.test_detect_pattern_names_the_pattern
     ),
     "calibration.detect_squares": TestedBy(
-        test_detection.test_every_corner_of_whole_squares_of_the_thesis_views_is_found
+        test_detection.test_all_complete_squares_of_thesis_views_are_detected
     ),
     "calibration.linear_intrinsics": Row(
         lambda u: {

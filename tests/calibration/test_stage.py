@@ -38,7 +38,7 @@ def test_exact_moves_give_the_exact_map(angle, mirrored):
     assert tx == ty == 0
 
 
-def test_the_intervals_of_the_stage_cover():
+def test_stage_intervals_cover():
     matrix, inside, scores = turned(1.6, 0.4), [], []
     for seed in range(400):
         seen = MOVES @ matrix.T + np.random.default_rng(seed).normal(0, 0.3, MOVES.shape)
@@ -52,7 +52,7 @@ def test_the_intervals_of_the_stage_cover():
     assert np.mean(scores) == pytest.approx(8 / 6, abs=0.2)
 
 
-def test_three_moves_leave_no_error_to_tell():
+def test_three_moves_have_nan_uncertainty():
     found = stage_affine(MOVES[:3], MOVES[:3] * 2)
     assert np.isnan(found.covariance).all()
     assert np.isnan(found.um_per_pixel[1])
@@ -66,7 +66,7 @@ def test_three_moves_leave_no_error_to_tell():
         (MOVES, MOVES * [0, 1], "image"),
     ],
 )
-def test_moves_that_tell_nothing_are_refused(stage, image, word):
+def test_degenerate_moves_are_rejected(stage, image, word):
     with pytest.raises(ValueError, match=word):
         stage_affine(stage, image)
 
@@ -76,7 +76,7 @@ WORLD = 280.0 * np.stack(np.meshgrid(np.arange(-4, 14), np.arange(-4, 12)), -1).
 WORLD = WORLD[((SCOPE.project(WORLD) > 5) & (SCOPE.project(WORLD) < [650, 485])).all(axis=1)]
 
 
-def test_opencv_projects_from_the_json_as_the_microscope_does():
+def test_opencv_projection_from_json_equals_the_model():
     found = calibrate(WORLD, SCOPE.project(WORLD), pixel_size=9.9, image_size=(656, 491))
     content = json.loads(found.to_json())
     camera = content["opencv"]
@@ -95,7 +95,7 @@ def test_opencv_projects_from_the_json_as_the_microscope_does():
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
-def test_a_calibration_returns_from_its_files(tilt, tmp_path):
+def test_calibration_survives_json_and_csv(tilt, tmp_path):
     """Also what is not finite: variances of what one view without tilt does not determine."""
     scope = Microscope(2e5, 126000, 79380, -8e-10, 0.3, tilt, 0, -900, -700)
     world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
@@ -123,7 +123,7 @@ def test_a_calibration_returns_from_its_files(tilt, tmp_path):
             Calibration.from_json(wrong)
 
 
-def test_opencv_straightens_points_by_the_json():
+def test_opencv_undistorts_points_from_json():
     """Straight rows of a lattice seen through a distortion are straight again."""
     scope = replace(SCOPE, distortion=-3e-9)
     world = WORLD[((scope.project(WORLD) > 5) & (scope.project(WORLD) < [650, 485])).all(axis=1)]
@@ -135,7 +135,7 @@ def test_opencv_straightens_points_by_the_json():
     np.testing.assert_allclose(straight, replace(scope, distortion=0.0).project(world), atol=0.01)
 
 
-def test_the_table_holds_every_parameter_with_its_error():
+def test_table_has_every_parameter_with_its_sigma():
     noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
     found = calibrate(WORLD, SCOPE.project(WORLD) + noise, pixel_size=9.9, image_size=(656, 491))
     table = found.to_frame()
@@ -146,7 +146,7 @@ def test_the_table_holds_every_parameter_with_its_error():
     assert len(repr(found).splitlines()) <= 10
 
 
-def test_a_pixel_has_the_height_of_its_cell():
+def test_pixel_height_follows_sensor_pixels():
     """ImageJ and Micro-Manager are told sizes by which a step of the pattern has its length."""
     sensor = {"pixel_size": (8.6, 8.3), "image_size": (656, 491)}
     scope = Microscope(2e5, 126e3, 79380, tx=-900, ty=-700, **sensor)
@@ -161,7 +161,7 @@ def test_a_pixel_has_the_height_of_its_cell():
     assert across[0] * along[1] * area == pytest.approx(500 * 700)
 
 
-def test_an_interval_keeps_to_the_side_that_a_length_can_have():
+def test_intervals_of_lengths_are_not_negative():
     """Points with an error of a tenth of the field: what has no upper end is not given one."""
     rng = np.random.default_rng(1)
     world = 1000.0 * np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.4, 0.7], [0.8, 0.2]])

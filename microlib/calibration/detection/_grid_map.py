@@ -162,7 +162,12 @@ class ResidualTest:
 
 
 def check_residuals(
-    points: Array, positions: Array, to_image: GridMap, sigma: Array, settings: Settings
+    points: Array,
+    positions: Array,
+    to_image: GridMap,
+    sigma: Array,
+    max_residual: float,
+    settings: Settings,
 ) -> ResidualTest:
     """Compare the points of marks with the smooth image of their lattice.
 
@@ -174,6 +179,8 @@ def check_residuals(
         Map fitted to them.
     sigma : ndarray, shape (n, k)
         Standard deviation of a coordinate by the fits of the outlines, px.
+    max_residual : float
+        Largest rms deviation of points from a smooth image of the lattice, in pitches.
     settings : Settings
         Settings of the detection.
 
@@ -208,7 +215,7 @@ def check_residuals(
     stated = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
     # Residuals that the noise of the marks explains are accepted for any pitch.
-    if rms > max(settings.max_residual * pitch, 3 * stated) or fraction < 3 / 4:
+    if rms > max(max_residual * pitch, 3 * stated) or fraction < 3 / 4:
         raise ValueError(
             f"image must show a regular lattice, got {fraction:.0%} of the marks on one with "
             f"deviations of {rms:.2g} px, {rms / pitch:.1%} of a pitch"

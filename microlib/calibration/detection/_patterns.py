@@ -121,11 +121,12 @@ def _fit(marks: Marks, grid: Index, kind: str, lattice: str) -> Detection:
     basis = index_basis(fitted.points.mean(axis=1), fitted.grid, lattice)
     fitted = replace(fitted, grid=np.round(fitted.grid @ basis).astype(np.intp))
     offsets: Array = CORNERS @ basis if kind == "squares" else MIDDLE
+    limit = settings.max_board_residual if kind in _BOARDS else settings.max_residual
     while True:
         cells = fitted.grid @ STEPS[lattice]
         unbiased = _remove_bias(fitted, cells, offsets, kind, marks)
         to_image, positions = fit_grid_map(unbiased, cells, offsets, shape)
-        test = check_residuals(unbiased, positions, to_image, fitted.sigma, settings)
+        test = check_residuals(unbiased, positions, to_image, fitted.sigma, limit, settings)
         if test.kept.all():
             break
         fitted = fitted[test.kept]  # without the outliers, which bend the map

@@ -61,8 +61,11 @@ class Settings:
     max_patch : float
         Half-width of the patch around a corner of a board, px. Larger ones contain more distortion.
     max_residual : float
-        Rms deviation of points from a smooth image of a lattice, in pitches. It is 0.0083 at most
-        on 60 photographs of printed boards and more than 0.03 for most accidental lattices.
+        Rms deviation of points from a smooth image of a lattice, in pitches. Printed patterns need
+        0.01, and most accidental lattices deviate by more than 0.03.
+    max_board_residual : float
+        The same for boards, all of whose corners correlate with the drawn board. They need 0.0083
+        on 60 photographs, and 0.015 where a lens distorts fields of 14 px beyond the smooth image.
     outlier_sigmas : float
         Deviation of an outlier in standard deviations, with a probability of 1e-8 by chance.
     angle_range, angle_count : float, int
@@ -90,6 +93,7 @@ class Settings:
     max_band: float = 7.0
     max_patch: float = 12.0
     max_residual: float = 0.012
+    max_board_residual: float = 0.03
     outlier_sigmas: float = 6.0
     angle_range: float = 0.1
     angle_count: int = 81
