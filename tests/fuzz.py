@@ -3,11 +3,7 @@
 Whatever the arguments are, a result comes back or a `ValueError` whose message names an argument.
 No other exception, no warning but the documented ones, no changed input, nothing non-finite from
 finite values unless it is documented, and no call over its time. `tests/test_arguments.py` tests
-this for one argument at a time; for two at once it is
-
-    python -m tests.fuzz [name …]    # all callables, or those whose name contains a word
-
-Sequences of calls are in `tests/test_sequences.py`.
+this for one argument and for two at a time, `tests/test_sequences.py` for sequences of calls.
 """
 
 from __future__ import annotations
@@ -15,16 +11,11 @@ from __future__ import annotations
 import atexit
 import contextlib
 import copy
-import faulthandler
 import inspect
-import random
 import re
-import resource
 import shutil
 import signal
-import sys
 import tempfile
-import time
 import types
 import warnings
 from collections.abc import Callable, Iterator
@@ -54,10 +45,6 @@ from tests.laws import Row, Units, resolve, tables
 LIMIT = 5.0
 #: The same for what fits a boundary value problem to an outline, tried by `make fuzz` only.
 SLOW = {"membrane.fit_capsule": 60.0}
-#: Calls of each callable with two arguments replaced.
-PAIRS = 60
-#: Memory that all of it may take, bytes.
-MEMORY = 4 << 30
 
 EGG = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 INPUTS = {"force": 100.0, "dimple_radius": 200.0, "dimple_depth": 40.0, **EGG}
@@ -444,15 +431,6 @@ def unusual(value: object) -> Iterator[tuple[str, object]]:
     yield "long doubles", plain.astype(np.longdouble)
 
 
-def pairs(name: str, count: int) -> Iterator[dict[str, tuple[str, object]]]:
-    """Yield two arguments with a label and a value each to replace, the same ones each time."""
-    rng, valid = random.Random(name), valid_call(name)
-    arguments = [argument for argument in valid if argument != "self"]
-    for _ in range(count if len(arguments) > 1 else 0):
-        drawn = rng.sample(arguments, 2)
-        yield {a: rng.choice([*wrong_kinds(valid[a]).items(), *unusual(valid[a])]) for a in drawn}
-
-
 def in_another_form(value: object) -> np.ndarray | None:
     """Return the same numbers read-only, strided and in the other byte order."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "uif" or value.ndim == 0:
@@ -511,8 +489,6 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
     before = copy.deepcopy(kept)
     limit = SLOW.get(name, LIMIT)
     signal.signal(signal.SIGPROF, _stop)
-    # What waits, or never returns from a library in C, is told by the watchdog.
-    faulthandler.dump_traceback_later(20 * limit, exit=True)
     signal.setitimer(signal.ITIMER_PROF, limit)
     result, wrong = None, None
     try:
@@ -540,7 +516,6 @@ def answer(name: str, changed: dict[str, object]) -> tuple[object, str | None]:
         wrong = f"{type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-        faulthandler.cancel_dump_traceback_later()
         for path in FOLDER.iterdir():  # what one call writes is not there for the next
             if path != GREY:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -566,30 +541,3 @@ def stores_only(name: str) -> bool:
     """Return whether a name is a record, which does not look at what it is given."""
     kind = resolve(name)
     return is_dataclass(kind) and not hasattr(kind, "__post_init__")
-
-
-def main(words: list[str]) -> int:
-    # What asks for more fails instead of taking the machine down.
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    wrong = 0
-    for name in names():
-        if name in SLOW or (words and not any(word in name for word in words)):
-            continue
-        begin, count = time.process_time(), wrong
-        for changed in pairs(name, PAIRS):
-            said = fault(name, {argument: value for argument, (_, value) in changed.items()})
-            if said:
-                labels = ", ".join(
-                    f"{argument}={label}" for argument, (label, _) in changed.items()
-                )
-                print(f"{name}({labels}): {said}", flush=True)
-                wrong += 1
-        print(f"# {name}: {wrong - count} in {time.process_time() - begin:.1f} s", flush=True)
-    print(f"{wrong} faults", flush=True)
-    return bool(wrong)
-
-
-if __name__ == "__main__":
-    from tests import fuzz  # the calls are made of that module's, not of this script's
-
-    sys.exit(fuzz.main(sys.argv[1:]))

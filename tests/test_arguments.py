@@ -8,6 +8,7 @@ beyond the name is tested where it is made, in tests/_common/test_checks.py.
 from __future__ import annotations
 
 import inspect
+import os
 import random
 import re
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ from tests import fuzz
 from tests.laws import public, resolve, unlike
 
 NAMES = fuzz.names()
+#: How many pairs of unusual values are drawn for each function; ``make fuzz`` draws more.
+PAIRS = int(os.environ.get("FUZZ_PAIRS", "3"))
 QUICK = [name for name in NAMES if name not in fuzz.SLOW]
 CHECKED = [name for name in NAMES if not fuzz.stores_only(name)]
 
@@ -161,12 +164,19 @@ def test_number_out_of_range_is_refused_by_name(name):
 
 @pytest.mark.parametrize("name", QUICK)
 def test_unusual_value_gives_a_result_or_is_refused_by_name(name):
-    """Of each argument two values are drawn; `make fuzz` draws many more, of two arguments."""
-    found, rng = [], random.Random(name)
-    for argument, value in arguments(name):
-        for label, other in rng.sample([*fuzz.unusual(value)], 2):
-            if wrong := fuzz.fault(name, {argument: other}):
-                found.append(f"{argument}={label}: {wrong}")
+    """Also two at once; drawn, the same ones each time."""
+    rng, valid = random.Random(name), dict(arguments(name))
+    unusual = {argument: [*fuzz.unusual(value)] for argument, value in valid.items()}
+    drawn = [{a: value} for a, each in unusual.items() for value in rng.sample(each, 2)]
+    for argument, value in valid.items():
+        unusual[argument] += [*fuzz.wrong_kinds(value).items()] if value is not None else []
+    for _ in range(PAIRS if len(valid) > 1 else 0):
+        drawn.append({a: rng.choice(unusual[a]) for a in rng.sample([*valid], 2)})
+    found = []
+    for changed in drawn:
+        if wrong := fuzz.fault(name, {argument: value for argument, (_, value) in changed.items()}):
+            labels = {argument: label for argument, (label, _) in changed.items()}
+            found.append(f"{labels}: {wrong}")
     assert not found, "\n".join(found)
 
 
