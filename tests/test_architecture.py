@@ -107,6 +107,22 @@ def test_a_core_refers_to_its_extension_in_one_place(room: str) -> None:
     assert users == {face}
 
 
+#: Imports of private modules by tests and benchmarks; each is to go where a public name shows the
+#: same. Whoever needs another one takes one away.
+MOST_PRIVATE_IMPORTS = 48
+
+
+def test_tests_and_benchmarks_import_few_private_modules() -> None:
+    private = re.compile(r"microlib\.(?!_common\b|__main__).*\b_\w")
+    found = {
+        (str(path.relative_to(ROOT)), name.rpartition(".")[0])
+        for path in [*sources(ROOT / "tests"), *sources(ROOT / "benchmarks")]
+        for name in imported(path)
+        if private.match(name)
+    }
+    assert len(found) <= MOST_PRIVATE_IMPORTS, sorted(found)
+
+
 def test_imports_have_no_cycle() -> None:
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 

@@ -24,7 +24,7 @@ from PIL import Image
 
 from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
-from microlib._command import main
+from microlib.__main__ import main
 from microlib._command._calibrate import _advise
 from microlib._command._shared import _quantity, resolve_scales
 from microlib.calibration import calibrate, detect_squares

@@ -14,7 +14,7 @@ from compendium.ledger import claim
 
 @pytest.fixture(scope="module")
 def taken() -> dict[str, section_5_2.Photograph]:
-    return section_5_2.photographs(seed=11, draws=4)
+    return section_5_2.photographs(seed=11, draws=2)
 
 
 def test_prediction_interval_covers_next_draw() -> None:

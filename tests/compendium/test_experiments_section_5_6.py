@@ -74,9 +74,6 @@ def test_printed_coordinates_need_nearly_all_of_the_rounding(reach) -> None:
 
 
 def test_printed_modulus_implies_probe_half_width_of_25_um() -> None:
-    radius, depth = section_5_6.printed_dimple()
-    assert radius == pytest.approx(claim("table-5.6/a").value, abs=0.005)
-    assert depth == pytest.approx(claim("table-5.6/w_d").value, abs=0.005)
     low, high = section_5_6.probe_half_widths()
     assert low < 25.0 < high
     assert high - low < 0.02

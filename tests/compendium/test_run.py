@@ -256,8 +256,9 @@ def test_killed_run_is_not_up_to_date(project: Path) -> None:
     assert run.failures().keys() == {"06_last"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("arguments", [(), ("-p", "width", "2")])
+@pytest.mark.parametrize(
+    ("number", "arguments"), [(signal.SIGINT, ()), (signal.SIGTERM, ("-p", "width", "2"))]
+)
 def test_interrupt_stops_kernel_before_run_ends(
     project: Path, number: signal.Signals, arguments: tuple[str, ...]
 ) -> None:

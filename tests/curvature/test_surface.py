@@ -330,9 +330,3 @@ def test_labeled_map_in_another_unit_raises():
     for unit in ("mm", "s"):
         with pytest.raises(ValueError, match=f"height must be in µm, got {unit}"):
             surface_curvature(height.assign_attrs(units=unit), 1.0)
-
-
-def test_masked_map_raises_with_advice():
-    masked = np.ma.masked_greater(SURFACES["sphere"][0], 149.0)
-    with pytest.raises(ValueError, match=r"height must be without a mask: give its \.filled\(np"):
-        surface_curvature(masked, 1.0)

@@ -14,32 +14,30 @@ from scipy.spatial import cKDTree
 from benchmarks.capsule_embryo import draw_scene
 from benchmarks.photographs import pictures, texture
 from microlib.embryo import extract_boundary
-from microlib.embryo._boundary import Boundary
 from microlib.embryo._probe import find_probe
 from microlib.embryo._view import View
 from microlib.synthetic import Embryo, embryo_image
-from microlib.synthetic._embryo import EmbryoImage
 
 PRESSED = Embryo.pressed(150.0, modulus=1.2)
 
 
 @cache
-def render(embryo: Embryo = PRESSED, **camera: object) -> EmbryoImage:
+def render(embryo: Embryo = PRESSED, **camera: object):
     place = {"shape": (320, 480), "center": (240.37, 101.81), "tilt": 0.01, "unevenness": 0.2}
     return embryo_image(embryo, rng=0, **place | camera)
 
 
 @pytest.fixture(scope="module")
-def scene() -> EmbryoImage:
+def scene():
     return render()
 
 
 @pytest.fixture(scope="module")
-def boundary(scene: EmbryoImage) -> Boundary:
+def boundary(scene):
     return extract_boundary(scene.image)
 
 
-def distances(scene: EmbryoImage, points: np.ndarray) -> np.ndarray:
+def distances(scene, points: np.ndarray) -> np.ndarray:
     """How far points lie outside the drawn outline, in px."""
     outline = scene.to_pixels(scene.embryo.outline(0.05))
     along = np.roll(outline, -1, axis=0) - np.roll(outline, 1, axis=0)
@@ -113,7 +111,7 @@ def test_outline_does_not_depend_on_grey_scale(scene, boundary, change):
     np.testing.assert_allclose(other.points, boundary.points, atol=5e-3)
 
 
-def with_probe(taper: float, glass: bool) -> tuple[EmbryoImage, np.ndarray]:
+def with_probe(taper: float, glass: bool) -> tuple:
     """A probe drawn by hand, of four samples a px and side: tapering, or two walls of glass."""
     bare = render(probe=False, noise=0.0, tilt=0.0, unevenness=0.0)
     image = cv2.resize(bare.image.astype(np.float32), None, fx=4, fy=4)

@@ -13,14 +13,13 @@ from microlib.embryo import _modulus, force_from_image, modulus_from_image
 from microlib.embryo._modulus import _egg_radius
 from microlib.membrane import disc_modulus
 from microlib.synthetic import Embryo, embryo_image
-from microlib.synthetic._embryo import EmbryoImage
 from tests import fuzz
 
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 
 
-def draw(seed: int) -> EmbryoImage:
+def draw(seed: int):
     rng = np.random.default_rng(seed)
     embryo = Embryo.dented(
         rng.uniform(40.0, 150.0), modulus=rng.uniform(0.5, 2.0), rim_radius=rng.uniform(350, 600)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import simpson
-
-from microlib.membrane.large._solver import MembraneState
 
 
 def density(law: str, stretches: NDArray, nu: float = 0.5) -> NDArray:
@@ -25,9 +25,7 @@ def density(law: str, stretches: NDArray, nu: float = 0.5) -> NDArray:
     return (one + ratio * two) / (6 * (1 + ratio))
 
 
-def stored(
-    state: MembraneState, law: str, modulus: float, thickness: float, nu: float = 0.5
-) -> float:
+def stored(state: Any, law: str, modulus: float, thickness: float, nu: float = 0.5) -> float:
     """Energy of the meridian, without what lies below the probe, in pJ."""
     first, second = np.nan_to_num(state.stretches, nan=1.0)
     rho = state.r / second

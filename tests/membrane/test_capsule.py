@@ -10,12 +10,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
 from microlib._common import Array
-from microlib.membrane.large._capsule import (
-    capsule_modulus,
-    check_shell,
-    indent_capsule,
-    solve_indentation,
-)
+from microlib.membrane import capsule_modulus, indent_capsule
+from microlib.membrane.large._capsule import check_shell, solve_indentation
 from microlib.membrane.large._capsule_problem import CapsuleProblem
 from tests.membrane.energy import stored
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from microlib._common import Array
-from microlib.membrane.large._capsule import indent_capsule
-from microlib.membrane.large._fit_capsule import fit_capsule, newey_west_variance
+from microlib.membrane import fit_capsule, indent_capsule
+from microlib.membrane.large._fit_capsule import newey_west_variance
 from tests.laws import hold_sigma
 
 SHELL: dict[str, Any] = {"thickness": 3.0, "probe_half_width": 25.0}

@@ -160,6 +160,21 @@ def test_tracker_recovers_after_lost_frame_like_a_new_one():
     np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
+def test_kalman_filter_follows_mirrored_axis_and_returns_copies():
+    given, mirror = filters(Units()), np.array([-1.0, 1.0])
+    one = KalmanFilter(**given)
+    other = KalmanFilter(**given | {"position": mirror * given["position"]})
+    for measured in np.array([[15.0, -3.0], [18.5, -1.0]]):
+        for kalman, position in ((one, measured), (other, mirror * measured)):
+            kalman.predict()[:] = np.nan
+            kalman.update(position)
+            for returned in (kalman.position, kalman.velocity, kalman.covariance):
+                returned[:] = np.nan
+    assert np.isfinite([*one.position, *one.velocity, *one.covariance.ravel()]).all()
+    np.testing.assert_allclose(other.position, mirror * one.position)
+    np.testing.assert_allclose(other.velocity, mirror * one.velocity)
+
+
 def test_refused_input_leaves_state_unchanged():
     for wrong in ((np.nan, 0.0), (1.0, 2.0, 3.0)):
         with pytest.raises(ValueError, match="position must"):
