@@ -1,4 +1,4 @@
-"""The loop behind `servo`: look, measure, move, and end when something is not as it should be."""
+"""The loop of `servo`: take a frame, measure, move, and end the run at a fault or a limit."""
 
 from __future__ import annotations
 
@@ -10,19 +10,23 @@ import numpy as np
 
 from microlib._common import Array, EndRun, Guard
 from microlib.servoing._log import add_event, new_row, put
-from microlib.servoing._motion import LARGEST_SHARE, UNKNOWN, fit_motion, visits
+from microlib.servoing._motion import (
+    MOST_RELATIVE_ERROR,
+    NOT_CALIBRATED,
+    calibration_moves,
+    fit_motion,
+)
 from microlib.servoing._workstation import Controller
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
 #: correction; a wrong Jacobian, a stuck axis or a frozen frame fails every one.
 _MISMATCHES = 3
 
-#: Only moves longer than this many tolerances show whether the image follows: half of such a move
-#: is five tolerances.
+#: Only moves longer than this many tolerances are checked: half of such a move is five tolerances.
 _LEAST_CHECKED = 10.0
 
-#: Share of the travel that is used: the rest is for what a drive overshoots, and whatever is beyond
-#: the travel all the same ends the run.
+#: Share of the travel that is used: the rest is for the overshoot of a drive. A position beyond the
+#: travel ends the run.
 USED = 0.99
 
 
@@ -44,8 +48,8 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Look:
-    """What one frame shows; `measured` is NaN if the feature is lost."""
+class Observation:
+    """One frame and its measurement; `measured` is NaN if the feature is lost."""
 
     row: dict[str, Any]
     position: Array
@@ -53,8 +57,8 @@ class Look:
     covariance: Array
 
 
-class Follower:
-    """Compares where the image goes with where the commands should have brought it."""
+class MotionCheck:
+    """Compares the motion in the image with the motion that J predicts of the commands."""
 
     def __init__(self, least_checked: float) -> None:
         self._least_checked = least_checked
@@ -62,11 +66,11 @@ class Follower:
         self._planned: Array = np.zeros(2)
         self._mismatches = 0
 
-    def plan(self, motion: Array) -> None:
-        """Note by how much the image should move, px."""
+    def predict(self, motion: Array) -> None:
+        """Add a motion that J predicts, px."""
         self._planned = self._planned + motion
 
-    def see(self, measured: Array) -> None:
+    def update(self, measured: Array) -> None:
         """Compare with the measured feature, and end the run after too many mismatches in a row."""
         if self._origin is None:
             self._origin = measured
@@ -86,26 +90,26 @@ class Follower:
 
 
 class Loop:
-    """One run; what it saw and did is in `rows`, `motion` and `reached`."""
+    """One run; its results are in `rows`, `motion` and `reached`."""
 
     def __init__(self, workstation: Any, tracker: Any, guard: Guard, settings: Settings) -> None:
         self.workstation, self.guard = workstation, guard
         self.rows: list[dict[str, Any]] = []
-        self.motion = UNKNOWN
+        self.motion = NOT_CALIBRATED
         self.reached = np.zeros(len(settings.targets), dtype=bool)
         self._tracker, self._settings = tracker, settings
         self._origin: float | None = None
         self._start: Array = np.zeros(2)
         self._lost = 0
-        self._follower = Follower(_LEAST_CHECKED * settings.tolerance)
+        self._motion_check = MotionCheck(_LEAST_CHECKED * settings.tolerance)
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
         return 0.0 if self._origin is None else self.workstation.clock.now() - self._origin
 
     def run(self, jacobian: Array | None) -> str:
-        """Look, calibrate if nothing is known, and go to the targets; return no reason."""
-        first = self._look("start", -1)
+        """Observe, calibrate if there is no Jacobian, and go to the targets; return no reason."""
+        first = self._observe("start", -1)
         self._start = first.position
         if not np.isfinite(first.measured).all():
             raise EndRun(f"lost: {first.row['event']} in the first frame")
@@ -113,7 +117,7 @@ class Loop:
             self._calibrate(first)
         else:
             self._report(first)
-            self.motion = replace(UNKNOWN, jacobian=jacobian)
+            self.motion = replace(NOT_CALIBRATED, jacobian=jacobian)
         self._check_targets(first.measured)
         for number, reference in enumerate(self._settings.targets):
             self._reach(number, reference)
@@ -131,8 +135,8 @@ class Loop:
                 f"{np.round(needed[number], 1)} µm from the start"
             )
 
-    def _look(self, phase: str, target: int, reference: Array | None = None) -> Look:
-        """Take a frame and measure."""
+    def _observe(self, phase: str, target: int, reference: Array | None = None) -> Observation:
+        """Take a frame and measure the feature."""
         guard, clock = self.guard, self.workstation.clock
         position = np.asarray(guard.call(self.workstation.stage.position), dtype=float)
         frame, exposed = guard.call(self.workstation.camera.snap)
@@ -148,76 +152,76 @@ class Loop:
         if track.lost:
             row["lost"] = True
             add_event(row, getattr(track, "reason", "") or "lost")
-            return Look(row, position, np.full(2, np.nan), np.full((2, 2), np.nan))
+            return Observation(row, position, np.full(2, np.nan), np.full((2, 2), np.nan))
         measured = np.asarray(track.center, dtype=float)
         put(row, "measured", measured, "px")
         covariance = np.asarray(getattr(track, "covariance", np.zeros((2, 2))), dtype=float)
-        return Look(row, position, measured, covariance)
+        return Observation(row, position, measured, covariance)
 
-    def _report(self, look: Look) -> None:
+    def _report(self, seen: Observation) -> None:
         if self._settings.progress is not None:
-            self._settings.progress(dict(look.row))
+            self._settings.progress(dict(seen.row))
 
-    def _calibrate(self, first: Look) -> None:
-        looks = [first]
-        for visit in visits(self._settings.test_move):
-            self._go(looks[-1].row, self._start + visit)
-            self._report(looks[-1])
-            look = self._look("calibration", -1)
-            if not np.isfinite(look.measured).all():
+    def _calibrate(self, first: Observation) -> None:
+        observed = [first]
+        for offset in calibration_moves(self._settings.test_move):
+            self._go(observed[-1].row, self._start + offset)
+            self._report(observed[-1])
+            seen = self._observe("calibration", -1)
+            if not np.isfinite(seen.measured).all():
                 raise EndRun(
-                    f"lost: {look.row['event']} at a test move of {self._settings.test_move:g} µm"
+                    f"lost: {seen.row['event']} at a test move of {self._settings.test_move:g} µm"
                 )
-            looks.append(look)
-        self._report(looks[-1])
+            observed.append(seen)
+        self._report(observed[-1])
         self.motion = fit_motion(
-            np.array([look.row["time_s"] for look in looks]),
-            np.array([look.position for look in looks]) - self._start,
-            np.array([look.measured for look in looks]),
-            np.array([look.covariance for look in looks]),
+            np.array([one.row["time_s"] for one in observed]),
+            np.array([one.position for one in observed]) - self._start,
+            np.array([one.measured for one in observed]),
+            np.array([one.covariance for one in observed]),
         )
-        if not self.motion.share <= LARGEST_SHARE:  # NaN is no calibration
+        if not self.motion.relative_error <= MOST_RELATIVE_ERROR:  # NaN is no calibration
             raise EndRun(
-                "calibration rejected: the test moves leave the Jacobian uncertain by "
-                f"{self.motion.share:.2g} of what it does, at most {LARGEST_SHARE:g} is allowed"
+                "calibration rejected: the test moves leave a relative error of the Jacobian "
+                f"of {self.motion.relative_error:.2g}, at most {MOST_RELATIVE_ERROR:g} is allowed"
             )
 
     def _reach(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
         sample = 0
         for _ in range(self._settings.most_frames):
-            look = self._look("servo", number, reference)
-            if not self._is_seen(look):
+            seen = self._observe("servo", number, reference)
+            if not self._is_seen(seen):
                 continue
-            if np.linalg.norm(reference - look.measured) <= self._settings.tolerance:
+            if np.linalg.norm(reference - seen.measured) <= self._settings.tolerance:
                 self.reached[number] = True
-                add_event(look.row, "reached")
-                self._report(look)
+                add_event(seen.row, "reached")
+                self._report(seen)
                 return
-            self._move(look, sample, reference)
+            self._move(seen, sample, reference)
             sample += 1
-            self._report(look)
+            self._report(seen)
         raise EndRun(f"target {number} was not reached in {self._settings.most_frames} frames")
 
-    def _is_seen(self, look: Look) -> bool:
-        """Return whether the feature is seen; end the run after too many frames without it."""
-        if np.isfinite(look.measured).all():
+    def _is_seen(self, seen: Observation) -> bool:
+        """Return whether the feature is measured; end the run after too many frames without it."""
+        if np.isfinite(seen.measured).all():
             self._lost = 0
-            self._follower.see(look.measured)
+            self._motion_check.update(seen.measured)
             return True
-        self._report(look)
+        self._report(seen)
         self._lost += 1
         if self._lost == self._settings.most_lost:
-            raise EndRun(f"lost: {look.row['event']} in {self._lost} frames in a row")
+            raise EndRun(f"lost: {seen.row['event']} in {self._lost} frames in a row")
         return False
 
-    def _move(self, look: Look, sample: int, goal: Array) -> None:
-        """Ask the controller, or J, where to go, keep to the limits, and go there."""
+    def _move(self, seen: Observation, sample: int, goal: Array) -> None:
+        """Move by what the controller, or J, commands, within the limits."""
         settings = self._settings
         if settings.controller is None:
-            way = np.linalg.solve(self.motion.jacobian, goal - look.measured)
+            way = np.linalg.solve(self.motion.jacobian, goal - seen.measured)
         else:
-            answer = settings.controller(sample, look.measured, np.stack([goal, goal]))
+            answer = settings.controller(sample, seen.measured, np.stack([goal, goal]))
             velocity = np.asarray(answer, dtype=float)
             if velocity.shape != (2,) or not np.isfinite(velocity).all():
                 raise EndRun(f"the controller must give two finite velocities, got {velocity}")
@@ -225,15 +229,15 @@ class Loop:
         length = float(np.linalg.norm(way))
         if settings.step is not None and length > settings.step:
             way = way * (settings.step / length)
-            add_event(look.row, "limit")
+            add_event(seen.row, "limit")
         room = USED * settings.travel
-        target = np.clip(look.position + way, self._start - room, self._start + room)
-        if (target != look.position + way).any():
-            add_event(look.row, "travel")
+        target = np.clip(seen.position + way, self._start - room, self._start + room)
+        if (target != seen.position + way).any():
+            add_event(seen.row, "travel")
         if executed := getattr(settings.controller, "executed", None):
-            executed((target - look.position) / settings.interval)
-        self._go(look.row, target)
-        self._follower.plan(self.motion.jacobian @ (target - look.position))
+            executed((target - seen.position) / settings.interval)
+        self._go(seen.row, target)
+        self._motion_check.predict(self.motion.jacobian @ (target - seen.position))
 
     def _go(self, row: dict[str, Any], target: Array) -> None:
         """Send the stage and wait until it stands there."""
@@ -255,7 +259,7 @@ class Loop:
             )
 
     def _watch_travel(self) -> Array:
-        """Return where the stage is, and end the run if that is beyond the travel."""
+        """Return the position of the stage; end the run if it is beyond the travel."""
         position = np.asarray(self.guard.call(self.workstation.stage.position), dtype=float)
         if (np.abs(position - self._start) > self._settings.travel).any():
             raise EndRun(

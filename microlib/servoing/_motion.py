@@ -1,4 +1,4 @@
-"""How the image follows the stage, from looks between small test moves."""
+"""Calibration of the image Jacobian and of a drift from small test moves."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from microlib._common import Array
 #: weighted: the interpolation of a tracker is wrong by thousandths of a pixel.
 _LEAST_STD = 1e-3
 
-#: Largest share of the Jacobian's effect that its error may have, at three standard deviations. A
-#: step that it plans takes 1 − ‖ΔJ·J⁻¹‖ of the error away: with this at least half.
-LARGEST_SHARE = 0.5
+#: Largest relative error of the Jacobian, at three standard deviations. A step that J predicts
+#: removes 1 − ‖ΔJ·J⁻¹‖ of the error: with this at least half.
+MOST_RELATIVE_ERROR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class StageMotion:
-    """The image's answer to the stage, f = f₀ + J·x + drift·t.
+    """Motion of the feature with the stage, f = f₀ + J·x + drift·t.
 
     Attributes
     ----------
@@ -30,8 +30,8 @@ class StageMotion:
     drift : ndarray, shape (2,)
         px/s while the stage stands.
     misfit : float
-        χ² per degree of freedom under the covariances of the tracks: 1 if they explain what the
-        line leaves over.
+        χ² per degree of freedom under the covariances of the tracks: 1 if they explain the
+        residuals.
     """
 
     jacobian: Array
@@ -40,39 +40,39 @@ class StageMotion:
     misfit: float
 
     @property
-    def share(self) -> float:
-        """Three standard deviations of J in its worst direction, over what J does at least."""
+    def relative_error(self) -> float:
+        """Three standard deviations of J in its worst direction over its least singular value."""
         least = np.linalg.svd(self.jacobian, compute_uv=False)[-1]
         if least == 0 or not np.isfinite(self.covariance).all():
             return float("inf")
         return float(3.0 * np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]) / least)
 
 
-#: Of a run without a calibration.
-UNKNOWN = StageMotion(
+#: The motion of a run without a calibration.
+NOT_CALIBRATED = StageMotion(
     np.full((2, 2), np.nan), np.full((4, 4), np.nan), np.full(2, np.nan), float("nan")
 )
 
 
-def visits(size: float) -> Array:
-    """Return where the stage goes from its start: out and back both ways along both axes, µm.
+def calibration_moves(size: float) -> Array:
+    """Return the test moves: offsets from the start, out and back both ways along both axes, µm.
 
-    Coming back each time keeps the drift apart from the Jacobian: both are linear in time, but only
-    one changes its sign.
+    The moves back separate the drift from the Jacobian: the displacement by the stage changes its
+    sign, and the displacement by the drift does not.
     """
     x, y = np.array([size, 0.0]), np.array([0.0, size])
     return np.array([x, 0 * x, -x, 0 * x, y, 0 * y, -y, 0 * y])
 
 
 def fit_motion(time: Array, position: Array, feature: Array, covariance: Array) -> StageMotion:
-    """Fit Jacobian and drift to looks by weighted least squares.
+    """Fit Jacobian and drift to observations by weighted least squares.
 
     Parameters
     ----------
     time : ndarray, shape (N,)
         Of the exposures, s.
     position : ndarray, shape (N, 2)
-        Of the stage as its encoder has it, µm.
+        Of the stage by its encoder, µm.
     feature : ndarray, shape (N, 2)
         As measured, px.
     covariance : ndarray, shape (N, 2, 2)

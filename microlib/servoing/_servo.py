@@ -1,4 +1,4 @@
-"""Steer a stage by what a camera sees: one loop for a simulated and a real microscope."""
+"""Visual servoing of a stage: one loop for a simulated and a real microscope."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ServoRun(Tidy, Ending):
-    """What `servo` did.
+    """Result of `servo`.
 
     Attributes
     ----------
@@ -101,10 +101,10 @@ def servo(
     """Bring a tracked feature to targets by moving the stage under the camera.
 
     Without a Jacobian the stage first makes small test moves, out and back both ways along both
-    axes, and J with a drift is fitted to what the camera sees. Then the loop looks, measures and
-    moves until every target is reached. However it ends (at the targets, at a limit, because the
-    feature is lost, a device fails or hangs, or by Ctrl-C), the stage is stopped and asked whether
-    it stands still.
+    axes, and J with a drift is fitted to the measured features. Then the loop takes a frame,
+    measures and moves until every target is reached. At the end (all targets reached, a limit, a
+    lost feature, a device that fails or hangs, or Ctrl-C) the stage is stopped and asked whether it
+    stands still.
 
     Parameters
     ----------
@@ -116,9 +116,9 @@ def servo(
     targets : array_like, shape (N, 2) or (2,)
         Where the feature is to go, one after the other: (x, y) in px of the image.
     travel : float or array_like, shape (2,)
-        How far either axis may go from where it is at the start, ± µm. There is no default: it is
-        what keeps glass from glass. A hundredth of it is left for what the drive overshoots;
-        targets beyond end the run before it goes to any.
+        How far either axis may go from where it is at the start, ± µm. There is no default, since
+        only the user knows where parts would collide. A hundredth of it is left for the overshoot
+        of the drive; a target beyond the travel ends the run before any move to a target.
     jacobian : array_like, shape (2, 2), optional
         px/µm, for example of a run before; calibrated by default.
     test_move : float, optional
@@ -163,11 +163,11 @@ def servo(
 
     Notes
     -----
-    A calibration is rejected if three standard deviations of J in its worst direction are over half
-    of what J does: a step planned with it would take less than half of the error away. The run
-    ends, too, when the image fails three times in a row to follow the commands within half of the
-    move: a wrong Jacobian, a stuck or reversed axis, or a frozen frame. Fewer could be one bad
-    track.
+    A calibration is rejected if three standard deviations of J in its worst direction exceed half
+    of its least singular value: a step by such a J would remove less than half of the error. The
+    run also ends if the image fails three times in a row to follow the commands within half of the
+    move: a wrong Jacobian, a stuck or reversed axis, or a frozen frame. One or two failures may be
+    a wrong track and its correction.
 
     The columns of the log are ``time_s`` from the first exposure; ``phase`` (start, calibration,
     servo, end); ``target``, its number, or −1; ``reference``, ``measured`` in px; ``lost``;

@@ -1,4 +1,4 @@
-"""Groups of warps, and what a warp does to points, corners and patches.
+"""Groups of warps, and their effect on points, corners and areas.
 
 A warp is a matrix on homogeneous coordinates. A step x takes it to ``G exp(Σ xᵢ Bᵢ)`` with the
 generators Bᵢ of its group: translation, affine, or the homographies through sl(3).
@@ -24,10 +24,10 @@ GENERATORS: dict[str, Array] = {
     ),
 }
 
-#: Keeps what is empty from dividing by zero.
+#: Avoids divisions by zero.
 TINY = 1e-9
 
-#: Below this share of the largest term, a sum in single precision holds nothing but rounding.
+#: Relative size below which a sum in single precision is rounding.
 ROUNDING = 1e-6
 
 

@@ -1,4 +1,4 @@
-"""Between the pixels: resolutions of a frame, the patches that warps cut out, and their noise."""
+"""Resolutions of a frame, the patches that warps cut out of them, and their noise."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _QUANTILE_OF_WHITE = 0.792
 
 
 class View:
-    """The part of a frame in which a template is sought: what is asked of it is made once.
+    """The part of a frame in which a template is searched; layers and noise are computed once.
 
     `noise` is the standard deviation of its noise, at least the one given; pixels from `saturation`
     on count as saturated.

@@ -16,7 +16,7 @@ from microlib.tracking._track import Track
 from microlib.tracking.robust import ATTEMPTS, Found, RobustSearch, Scene, Sighting, find_template
 
 #: Standard deviation (px) of the Gaussian of the smoothed level. With twice as much, fine texture
-#: is lost; without it, the search does not reach as far.
+#: is lost; without it, the range of convergence is smaller.
 _SMOOTHING = 1.25
 
 
@@ -29,12 +29,13 @@ class ESMTracker:
     1. Align from the expected pose by ESM with one gain and bias, smoothed in the template's
        coordinates and then at half pixels, which removes most of the error of bilinear
        interpolation. Accepted if the blocks of the template agree to within the noise, which is
-       estimated from the frames. Else the pose is aligned once more with a photometric model: light
+       estimated from the frames. Else the alignment is continued with a photometric model: light
        that varies smoothly, a blur, a tone curve, and Tukey's weights [3]_.
     2. The same from where the points of the template flow to.
-    3. From all these poses, those in which the blocks agree best are fitted with the photometric
-       model. The score of the second-best pose, the points that stay there, the distance from the
-       expected pose and the uncertainty give the probability that the best one is right. A template
+    3. Of all these poses, those in which the blocks agree best are fitted with the photometric
+       model. The best of these fits and of those before has a probability of being right, which
+       depends on its score beside that of the second-best pose, on the points that stay there, on
+       the distance from the expected pose and on the uncertainty. A template
        that was lost is searched in the whole frame, or where the Kalman filter expects it.
     4. If it was found in the frame before: the same from distorted poses and from the peaks of the
        normalized cross-correlation.
@@ -146,11 +147,11 @@ class ESMTracker:
             center = self._corners().mean(axis=0)
             self._pose = translate(self._pose, self._kalman.predict() - center)
         corners = self._corners()
-        reach = np.ptp(corners, axis=0).max()
+        margin = np.ptp(corners, axis=0).max()
         if not self._seen:  # anywhere, or within five standard deviations of the prediction
-            spread = np.inf if self._kalman is None else np.sqrt(self._kalman.covariance[0, 0])
-            reach = max(reach, 5 * spread)
-        region, origin = cut_around(frame, corners, reach)
+            sigma = np.inf if self._kalman is None else np.sqrt(self._kalman.covariance[0, 0])
+            margin = max(margin, 5 * sigma)
+        region, origin = cut_around(frame, corners, margin)
         if min(region.shape) < 2:
             return self._lost("out of view")
         image = np.ascontiguousarray(as_image("frame", region) * self._grey_scale)

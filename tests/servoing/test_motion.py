@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from microlib.servoing._motion import StageMotion, fit_motion, visits
+from microlib.servoing._motion import StageMotion, calibration_moves, fit_motion
 
 JACOBIAN = np.array([[0.1, -0.35], [-0.4, -0.05]])
 DRIFT = np.array([0.3, -0.2])
 
 
 def looks(rng, covariance, *, excess=1.0, count=9):
-    """Return looks of `visits` with noise of a covariance, `excess` times as large as it says."""
-    position = np.vstack([np.zeros(2), visits(25.0)])[:count]
+    """Return observations at the test moves, with `excess` times the stated noise."""
+    position = np.vstack([np.zeros(2), calibration_moves(25.0)])[:count]
     time = np.linspace(0.0, 2.0, count) ** 1.1  # not evenly, as frames come
     noise = rng.multivariate_normal(np.zeros(2), excess * covariance, len(position))
     feature = (80.0, 60.0) + position @ JACOBIAN.T + np.outer(time, DRIFT) + noise
@@ -52,7 +52,7 @@ def test_jacobian_fit_weights_frames_by_their_covariance():
 def test_jacobian_covariance_is_infinite_if_an_axis_never_moved():
     time, position, feature, covariance = looks(np.random.default_rng(4), 1e-4 * np.eye(2))
     position[:, 1] = 0.0
-    assert fit_motion(time, position, feature, covariance).share == float("inf")
+    assert fit_motion(time, position, feature, covariance).relative_error == float("inf")
 
 
 def test_jacobian_covariance_is_not_reduced_by_a_misfit_below_one():
@@ -66,6 +66,6 @@ def test_jacobian_covariance_is_not_reduced_by_a_misfit_below_one():
     np.testing.assert_allclose(exact.covariance * enlarged, noisy.covariance, rtol=1e-9, atol=1e-18)
 
 
-def test_share_is_three_sigma_over_smallest_singular_value():
+def test_relative_error_is_three_sigma_over_smallest_singular_value():
     motion = StageMotion(np.diag([2.0, -0.5]), np.diag([1.0, 2.0, 3.0, 4.0]) * 1e-4, np.zeros(2), 1)
-    assert motion.share == pytest.approx(3 * 0.02 / 0.5)
+    assert motion.relative_error == pytest.approx(3 * 0.02 / 0.5)
