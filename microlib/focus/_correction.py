@@ -1,4 +1,4 @@
-"""Repair and smooth a depth map without rounding its steps: (3.14) and what goes beyond it."""
+"""Correction of spikes (3.14), and smoothing of a depth map that preserves its steps."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def depth_from_focus(
         or zarr array of shape (n, rows, cols), which may be larger, is worked on block by block.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
-        By default what a TIFF's OME or ImageJ metadata or an xarray.DataArray say.
+        By default from a TIFF's OME or ImageJ metadata or from an xarray.DataArray.
     spacing : float, optional
         Distance of the frames instead, µm; the first one is at 0.
     measure : {MEASURES} or callable
@@ -165,9 +165,9 @@ def depth_from_focus(
                     f"{name} must not be given for a dask or zarr array, got {value!r}"
                 )
         return multiscale.depth_in_blocks(frames, positions, spacing, region)
-    tell = progress or (lambda done, count: None)
+    report = progress or (lambda done, count: None)
     reader = read_frames(frames, region=region, reduce=reduce, color=True)
-    stack = read_stack(reader, positions, spacing, tell)
+    stack = read_stack(reader, positions, spacing, report)
     count, dtype, margin = len(stack.positions), stack.grey[0].dtype, margin_mask(stack.grey)
     registration = find_registration(stack.grey) if register else None
     if registration is None:
@@ -176,7 +176,7 @@ def depth_from_focus(
         stack = registered(stack, registration)
 
     def done(share: float) -> None:
-        tell(round(count * (1 + share)), 2 * count)
+        report(round(count * (1 + share)), 2 * count)
 
     if single is None:
         found = multiscale.multiscale_depth(stack.grey, stack.positions, workers=threads, done=done)

@@ -1,8 +1,9 @@
-"""Undo what moves and flickers while the focus is moved: shift, rotation, scale, brightness.
+"""Registration of a focal stack: shift, rotation, scale and brightness of each frame.
 
-Each frame is aligned to the one before by the correlation coefficient (Evangelidis and Psarakis,
-2008), which does not see gain and offset, from the middle of the stack outwards. A frame that does
-not correlate is left out, and the next one is aligned to the last that did.
+Each frame is aligned to the one before by maximizing the enhanced correlation coefficient
+(Evangelidis and Psarakis, 2008), which does not depend on gain and offset, from the middle of the
+stack outwards. A frame that does not correlate is left out, and the next one is aligned to the last
+that did.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from numpy.typing import NDArray
 from microlib._common import Array, Image
 from microlib.io import read_frames
 
-#: Least side of a frame that can be registered, px, and shorter side of the frames that are
-#: compared: those are reduced by whole blocks as long as it stays above.
+#: Least side of a frame that can be registered, px, and the shorter side above which frames are
+#: reduced by whole blocks before they are compared.
 _SMALLEST, _WORKING_SIDE = 32, 240
 #: Correlation of the aligned frames below which they do not show one scene: noise and foreign
 #: frames stay below 0.2.
@@ -29,7 +30,7 @@ _CORRELATION = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How the frames of a stack lie beside the middle one.
+    """Position and brightness of the frames of a stack relative to the middle one.
 
     Attributes
     ----------
@@ -38,7 +39,7 @@ class Registration:
     warps : ndarray, shape (n, 2, 3)
         Warp matrix from the middle frame to each frame, px; NaN for those left out.
     gain, offset : ndarray, shape (n,)
-        Of the grey levels.
+        Grey levels of each frame are `gain` times those of the middle frame, plus `offset`.
     """
 
     kept: NDArray[np.intp]
@@ -47,9 +48,16 @@ class Registration:
     offset: Array
 
     def images(self, frames: Sequence[Image]) -> list[NDArray[np.float32]]:
-        """Return the kept frames as the middle one's camera would have taken them."""
+        """Return the kept frames aligned with the middle one, with its brightness."""
         gain, offset = self.gain.astype(np.float32), self.offset.astype(np.float32)
-        return [(warped(frames[k], self.warps[k]) - offset[k]) / gain[k] for k in self.kept]
+        size, flags = frames[0].shape[1::-1], cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
+        border = cv2.BORDER_REPLICATE
+        aligned = []
+        for k in self.kept:
+            image, warp = frames[k].astype(np.float32), self.warps[k]
+            moved = cv2.warpAffine(image, warp, size, flags=flags, borderMode=border)
+            aligned.append((np.asarray(moved) - offset[k]) / gain[k])
+        return aligned
 
     def outside(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Return the pixels that some frame near to theirs, `index`, does not contain."""
@@ -63,7 +71,7 @@ class Registration:
 
 
 def register(frames: Sequence[Image]) -> Registration:
-    """Find how the frames of a stack lie beside each other, relative to the middle one.
+    """Find position and brightness of the frames of a stack, relative to the middle one.
 
     Raises
     ------
@@ -77,12 +85,15 @@ def register(frames: Sequence[Image]) -> Registration:
         If some frames are left out for that reason.
     """
     shape, count = frames[0].shape, len(frames)
-    check_size(shape)
+    if min(shape) < _SMALLEST:
+        raise ValueError(
+            f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
+        )
     factor = max(min(shape) // _WORKING_SIDE, 1)
     small = list(read_frames((frame.astype(np.float32) for frame in frames), reduce=factor))
-    # What is coarser than noise and finer than light.
+    # A band-pass filter: coarser than noise and finer than the illumination.
     bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
-    # If the middle frame is foreign, one beside it is not.
+    # If the middle frame shows another scene, its neighbors hardly do.
     chains = (_chain(bands, start) for start in (count // 2, count // 2 - 1, count // 2 + 1))
     most: dict[int, Array] = {}
     for chain in chains:
@@ -103,46 +114,29 @@ def register(frames: Sequence[Image]) -> Registration:
     inverse = np.linalg.inv(most[reference])
     relative = {k: most[k] @ inverse for k in most}
     gain, offset = _brightness(small, kept, relative, reference)
-    poses = np.full((count, 2, 3), np.nan)
+    warps = np.full((count, 2, 3), np.nan)
     # From pixels of the small frames, whose centers lie between those of a block.
     scale = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
     for k in kept:
-        poses[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
-    return Registration(kept, poses, gain, offset)
-
-
-def check_size(shape: tuple[int, ...]) -> None:
-    """Refuse frames that are too small to be registered."""
-    if min(shape) < _SMALLEST:
-        raise ValueError(
-            f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
-        )
-
-
-def warped(image: Image, pose: Array) -> NDArray[np.float32]:
-    """Return an image where the reference has it; the pose takes the reference's px to its."""
-    size, flags = image.shape[1::-1], cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(
-        image.astype(np.float32), pose, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(moved)
+        warps[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
+    return Registration(kept=kept, warps=warps, gain=gain, offset=offset)
 
 
 def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:
-    """Return the frames that can be aligned from one on, each with its 3×3 matrix from there."""
-    poses: dict[int, Array] = {start: np.eye(3)}
+    """Return the frames that can be aligned, starting at one, each with its 3×3 warp from there."""
+    warps: dict[int, Array] = {start: np.eye(3)}
     for numbers in (range(start - 1, -1, -1), range(start + 1, len(bands))):
         last = start
         for k in numbers:
             link = _link(bands[last], bands[k])
             if link is not None:
-                poses[k] = link @ poses[last]
+                warps[k] = link @ warps[last]
                 last = k
-    return poses
+    return warps
 
 
 def _link(first: NDArray, second: NDArray) -> Array | None:
-    """Return the similarity from the first image's pixels to the second's, if they correlate."""
+    """Return the similarity transform from the first image to the second, if they correlate."""
     start = np.eye(2, 3, dtype=np.float32)
     end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)
     try:
@@ -162,7 +156,7 @@ def _link(first: NDArray, second: NDArray) -> Array | None:
 
 
 def _blur_columns(mean: NDArray) -> list[NDArray]:
-    """Return what a growth of the blur changes, if its variance is a quadratic of the place."""
+    """Return the changes by a growth of the blur whose variance is a quadratic of the position."""
     blur = cv2.Laplacian(mean, cv2.CV_32F)
     v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in mean.shape)
     v = v[:, None]
@@ -170,7 +164,7 @@ def _blur_columns(mean: NDArray) -> list[NDArray]:
 
 
 def _robust(design: NDArray, target: NDArray) -> Array:
-    """Return the coefficients of the rows of a design, with Tukey's weights of a first fit."""
+    """Return the coefficients of the rows of a design, an M-estimate with Tukey's biweight."""
     weight = np.ones_like(target)
     for _ in range(2):
         weighted = design * weight
@@ -184,12 +178,12 @@ def _robust(design: NDArray, target: NDArray) -> Array:
 def _brightness(
     small: Sequence[NDArray],
     kept: NDArray[np.intp],
-    poses: dict[int, Array],
+    warps: dict[int, Array],
     reference: int,
 ) -> tuple[Array, Array]:
     """Return gain and offset of every frame relative to the reference, NaN for those left out."""
-    smooth = [_smooth(small[k], poses[int(k)][:2]) for k in kept]
-    links = [_change_of_light(a, b, here & there) for (a, here), (b, there) in pairwise(smooth)]
+    smooth = [_smooth(small[k], warps[int(k)][:2]) for k in kept]
+    links = [_illumination_change(a, b, m & n) for (a, m), (b, n) in pairwise(smooth)]
     # An offset of less than 1 % of the grey level is none.
     level = abs(float(np.mean([image.mean() for image, _ in smooth])))
     if np.median([abs(plus) for _, plus, _ in links]) < 0.01 * level:
@@ -202,15 +196,15 @@ def _brightness(
     return gain, offset - gain * offset[reference]
 
 
-def _smooth(image: NDArray, pose: Array) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return a frame where the reference has it, without what differs by blur, and where it is."""
+def _smooth(image: NDArray, warp: Array) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return an aligned frame, smoothed so that blur no longer matters, and where it is known."""
     size, flags = image.shape[::-1], cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    inside = cv2.warpAffine(np.ones_like(image), pose, size, flags=flags)
-    seen = cv2.warpAffine(image, pose, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return cv2.GaussianBlur(seen, (0, 0), 4.0), cv2.GaussianBlur(inside, (0, 0), 4.0) > 0.99
+    inside = cv2.warpAffine(np.ones_like(image), warp, size, flags=flags)
+    moved = cv2.warpAffine(image, warp, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.GaussianBlur(moved, (0, 0), 4.0), cv2.GaussianBlur(inside, (0, 0), 4.0) > 0.99
 
 
-def _change_of_light(
+def _illumination_change(
     first: NDArray, second: NDArray, known: NDArray[np.bool_]
 ) -> tuple[float, float, float]:
     """Return gain and offset from one smooth frame to the next, and their ratio if it is a gain."""

@@ -1,4 +1,4 @@
-"""What shape from focus returns."""
+"""The result of shape from focus, and how it is built from a depth map."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ class FocusResult(Tidy):
     Attributes
     ----------
     depth : ndarray of float32, shape (rows, cols)
-        Position at which the pixel is sharpest, µm; NaN where that cannot be told.
+        Position at which the pixel is sharpest, µm; NaN where it cannot be determined.
     uncertainty : ndarray of float32, shape (rows, cols)
-        Estimate of the error, µm; NaN where `depth` is. By "multiscale" from how far depths from
-        horizontal and from vertical detail differ: noise, and relief that could not be told from
-        it; from slopes and edges of the depth, where a pixel may belong to either side; and from
-        how the light changes from frame to frame, from asymmetric peaks, and from peaks of things
-        too thin to be resolved. It does not see a depth that is wrong as a whole.
-        By other measures from how rough the depth is, which does not show errors that are smooth
-        over some ten pixels.
+        Standard deviation of the depth, µm; NaN where `depth` is. With "multiscale" it covers noise
+        and relief that cannot be separated from noise (from the difference of the depths by
+        horizontal and by vertical detail), slopes and steps, where a pixel may belong to either
+        side, illumination that changes from frame to frame, asymmetric peaks, and objects too thin
+        to be resolved. It does not cover a bias of the whole map. With other measures it is the
+        roughness of the depth, which does not contain errors that are smooth over ten pixels.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.
@@ -50,7 +49,7 @@ class FocusResult(Tidy):
         If the stack was registered: grey levels of the frame are `gain` times those of the middle
         frame, plus `offset`.
     pixel_size : float or None
-        Side of a pixel of the maps, µm, if the frames told it.
+        Side of a pixel of the maps, µm, if the metadata of the frames contain it.
     corner : (float, float)
         x and y of the middle of the first pixel, in pixels of the maps from where x and y of the
         frames are 0: not 0 of a region.
@@ -86,7 +85,7 @@ class FocusResult(Tidy):
         return f"{text}{'' if self.warps is None else ', registered'})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the maps come to as a flat dictionary that JSON can hold.
+        """Return a summary of the maps as a flat dictionary that JSON can hold.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""A focal stack in memory: read, checked against its positions, and looked at for disturbances."""
+"""A focal stack in memory: read, compared with its positions, and searched for disturbances."""
 
 from __future__ import annotations
 

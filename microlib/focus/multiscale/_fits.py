@@ -83,9 +83,9 @@ def fit_stack(
     def strip(top: int) -> Fits:
         bottom = min(top + tops.step, shape[0])
         start = max(top - _MARGIN, 0)
-        seen = slice(start, min(bottom + _MARGIN, shape[0]))
+        view = slice(start, min(bottom + _MARGIN, shape[0]))
         keep = slice(top - start, bottom - start)
-        return _fit_strip(frames, axis, settings, seen, keep)
+        return _fit_strip(frames, axis, settings, view, keep)
 
     parts = []
     with ThreadPoolExecutor(workers) as pool:

@@ -17,8 +17,8 @@ from microlib.focus.multiscale._settings import Settings
 class NoiseFloor:
     """Mean of each measure on noise alone, at half size.
 
-    It is added to the measure: one that sees only noise becomes nearly constant over the frames,
-    and the other factor of a product decides.
+    It is added to the measure. Then a measure that contains only noise is nearly constant over the
+    frames, and the other factor of the product decides.
 
     Attributes
     ----------
