@@ -93,34 +93,34 @@ def test_a_description_does_not_depend_on_the_unit_of_length() -> None:
 
 def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map() -> None:
     labels = np.full((6, 9), 5, np.uint8)
-    labels[:2, :3] = labels[4:, 6:] = 1  # two regions of 6 px, each with 5 px of border
-    labels[:, 8] = 0  # not known, of which 2 are in the second region
+    labels[:2, :3] = labels[2:4, 3:6] = 1  # two regions of 6 px, which touch at a corner
+    labels[:, 8] = 0  # not known
     mean = np.where(labels == 1, -0.5, 0.0)
     mean[labels == 0] = np.nan
     found = np.split(
         recognition.describe(labels, mean), np.cumsum(list(recognition.GROUPS.values()))[:-1]
     )
     first, plane = (recognition.TYPES.index(kind) for kind in (1, 5))
-    assert found[0][[first, plane]] == pytest.approx([10 / 48, 38 / 48])
+    assert found[0][[first, plane]] == pytest.approx([12 / 48, 36 / 48])
     assert np.expm1(found[1][[first, plane]]) == pytest.approx([2, 1])
     assert found[2][recognition.PAIRS.index((1, 5))] == 1
-    assert found[3][first] == pytest.approx(-0.5 * 10 / 48)
+    assert found[3][first] == pytest.approx(-0.5 * 12 / 48)
     assert found[0].sum() == found[2].sum() == 1
 
 
 def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure() -> None:
-    training = np.array([[0.0, 0], [0.1, 0], [1, 1], [1, 1.1]])
+    training = np.array([[0.0, 0.0], [0.4, 0.0], [0.9, 0.9], [0.9, 0.5]])
     names = np.array(["a", "a", "b", "b"])
-    found = recognition.recognize(
-        np.array([[0.05, 0.0], [1, 1.05], [9, 9], [0.5, 0.5]]), training, names, [1, 1]
-    )
+    given = np.array([[0.05, 0.0], [0.9, 0.85], [0.9, 3.0], [0.66, 0.26]])
+    found = recognition.recognize(given, training, names, [1, 1])
     assert found["name"].tolist()[:3] == ["a", "b", "b"]
+    # The third is far from both names, the last as near to one name as to the other.
     assert found["sure"].tolist() == [True, True, False, False]
+    assert found["distance"][3] < 0.4 / training.std(axis=0).max()
     # Each group is scaled by itself: a feature in other units changes nothing.
-    scaled = recognition.recognize(
-        np.array([[0.05, 0.0]]) * [1, 1000], training * [1, 1000], names, [1, 1]
-    )
-    assert scaled["distance"][0] == pytest.approx(found["distance"][0])
+    units = np.array([1.0, 1000.0])
+    scaled = recognition.recognize(given * units, training * units, names, [1, 1])
+    np.testing.assert_allclose(scaled["distance"], found["distance"])
 
 
 def test_the_interval_is_that_of_the_formula() -> None:
