@@ -64,7 +64,7 @@ class Zones(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What the solver finds beside the state, and what follows from it. Arcs are angles S."""
+    """Unknown numbers beside the state, and numbers that follow from them. Arcs are angles S."""
 
     pressure: float
     inflation: float
@@ -101,11 +101,6 @@ class PrescribedForce:
     def residual(self, depth: Any) -> list[Any]:
         return []
 
-    def continuation(self) -> Iterator[PrescribedForce]:
-        """Yield forces from one for which every capsule converged to this one."""
-        for force in np.geomspace(0.03, self.force, 14):
-            yield replace(self, force=force)
-
 
 @dataclass(frozen=True)
 class PrescribedDimple:
@@ -128,9 +123,6 @@ class PrescribedDimple:
 
     def residual(self, depth: Any) -> list[Any]:
         return [depth - self.depth]
-
-    def continuation(self) -> Iterator[PrescribedDimple]:
-        yield from ()
 
 
 class TautMiddle:
@@ -353,8 +345,11 @@ class CapsuleProblem(BoundaryValueProblem):
         return solution.x, zones._replace(contact=contact).pack(), np.append(solution.p, middle_arc)
 
     def continuation(self) -> Iterator[CapsuleProblem]:
-        for given in self.given.continuation():
-            yield replace(self, given=given, middle=TautMiddle())
+        """Yield growing forces, from one for which every capsule converged."""
+        if isinstance(self.given, PrescribedForce):
+            for force in np.geomspace(0.03, self.given.force, 14):
+                given = replace(self.given, force=float(force))
+                yield replace(self, given=given, middle=TautMiddle())
 
     def continue_from(self, solved: CapsuleProblem, solution: Any) -> tuple[CapsuleProblem, Guess]:
         """Return this problem and its guess from the solution of another problem."""
