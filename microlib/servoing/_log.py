@@ -25,7 +25,7 @@ COLUMNS = {
 
 
 def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
-    """Return a row in which nothing is known yet."""
+    """Return a row without measurements."""
     about = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
     return dict.fromkeys(COLUMNS, np.nan) | about
 

@@ -120,7 +120,7 @@ class Loop:
             self.motion = replace(NOT_CALIBRATED, jacobian=jacobian)
         self._check_targets(first.measured)
         for number, reference in enumerate(self._settings.targets):
-            self._reach(number, reference)
+            self._servo_to(number, reference)
         return ""
 
     def _check_targets(self, feature: Array) -> None:
@@ -186,7 +186,7 @@ class Loop:
                 f"of {self.motion.relative_error:.2g}, at most {MOST_RELATIVE_ERROR:g} is allowed"
             )
 
-    def _reach(self, number: int, reference: Array) -> None:
+    def _servo_to(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
         sample = 0
         for _ in range(self._settings.most_frames):

@@ -198,12 +198,12 @@ def servo(
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     of_kind("controller", controller, Callable, type(None))
     of_kind("progress", progress, Callable, type(None))
-    either = positive("travel", travel)
-    reach = as_array("travel", either if either.ndim else np.full(2, either), shape=(2,))
+    limits = positive("travel", travel)
+    limits = as_array("travel", limits if limits.ndim else np.full(2, limits), shape=(2,))
     settings = Settings(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
-        travel=reach,
-        test_move=_test_move(test_move, reach, step),
+        travel=limits,
+        test_move=_test_move(test_move, limits, step),
         controller=controller,
         tolerance=scalar("tolerance", tolerance, above=0),
         step=None if step is None else scalar("step", step, above=0),
@@ -213,11 +213,11 @@ def servo(
         timeout=scalar("timeout", timeout, above=0),
         progress=progress,
     )
-    known = None if jacobian is None else full_rank(jacobian, (2, 2))
+    given = None if jacobian is None else full_rank(jacobian, (2, 2))
     guard = Guard(workstation.clock, workstation.stage, settings.timeout)
     loop = Loop(workstation, tracker, guard, settings)
     with interrupts(guard.interrupted):
-        end = guard.run(lambda: loop.run(known))
+        end = guard.run(lambda: loop.run(given))
         last = new_row(loop.now(), "end", -1)
         with suppress(EndRun):  # the reason states already what failed
             put(last, "stage", guard.call(workstation.stage.position), "um")

@@ -37,19 +37,20 @@ class Track(Tidy):
     visible : float
         Share of the template's pixels inside the frame.
     iterations : int
-        Steps of the attempt that was kept, all resolutions together; 0 when `lost`.
+        Steps of the accepted attempt, of all resolutions together; 0 when `lost`.
     covariance : ndarray, shape (2, 2)
         Covariance of `center` in px², from the residual of the alignment and how it varies over the
         template.
     corner_covariance : ndarray, shape (8, 8)
         The same of the corners, x and y of the first one first.
     confidence : float
-        Probability that the pose is right within a pixel: 1 where every part of the template agrees
-        within the noise, else an estimate that was fitted to photographs. It is lower if the
-        template may have been mistaken for something identical that stood nearby in the last frame,
-        or if its texture is periodic, the more the further it moved. Below 0.7 the template counts
-        as lost; `confidence` is then that of the best pose, or 0. A periodic texture comes to 0.7
-        at 0.23 of a period, or at 0.3 of one if that is more than a quarter of the box.
+        Probability that the pose is right within a pixel. It is 1 where every part of the template
+        agrees within the noise, and else an estimate that was fitted to photographs. It is reduced
+        if something identical stood nearby in the last frame or if the texture is periodic, the
+        more the further the template moved. Below 0.7 the template counts as lost;
+        `confidence` is then that of the most probable pose, or 0. With a periodic texture the
+        confidence falls to 0.7 at a motion of 0.23 of a period, or of 0.3 of a period if that is
+        more than a quarter of the box.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the box where the frame shows something else, or nothing; all when `lost`.
     """
@@ -87,8 +88,8 @@ class Track(Tidy):
         """
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         row = super().to_dict() | flat_row(share)
-        kept = ("lost", "reason", "confidence") if self.lost else row
-        return {name: row[name] if name in kept else None for name in row}
+        valid = ("lost", "reason", "confidence") if self.lost else row
+        return {name: row[name] if name in valid else None for name in row}
 
     @property
     def center(self) -> Array:

@@ -217,7 +217,7 @@ def _plain(scene: Scene, plain: Alignment) -> Found | None:
     if not search.blocks_agree(plain, settings.steady_light):
         return None
     covariance = corner_covariance(search.template.sharp, plain, plain.weight)
-    if largest_sigma(covariance) >= settings.certain:
+    if largest_sigma(covariance) >= settings.max_sigma:
         return None
     return Found(fit=plain, corner_covariance=covariance, hidden=plain.weight == 0, confidence=1.0)
 
@@ -228,7 +228,7 @@ def _confirmed(scene: Scene, plain: Alignment, fit: PhotometricFit | None) -> Fo
         return None
     search, covariance = scene.search, scene.search.covariance(fit)
     difference = max(search.distance(fit.pose, plain.pose), largest_sigma(covariance))
-    confirms = difference < search.settings.confirmed and search.blocks_agree(plain)
+    confirms = difference < search.settings.max_difference and search.blocks_agree(plain)
     if confirms or _is_clear(scene, fit, covariance):
         return _found(scene, fit, covariance, 1.0)
     return None
@@ -249,7 +249,7 @@ def _searched(scene: Scene, starts: list[Array], fits: list[PhotometricFit | Non
 def _is_clear(scene: Scene, fit: PhotometricFit, covariance: Array) -> bool:
     """Return whether all blocks of the template agree with a fit of the photometric model."""
     settings = scene.search.settings
-    precise = largest_sigma(covariance) < settings.certain and fit.noise < settings.clear
+    precise = largest_sigma(covariance) < settings.max_sigma and fit.noise < settings.max_residual
     return precise and scene.search.is_enough(fit.blocks.agreement())
 
 

@@ -81,7 +81,7 @@ class RobustSearch:
         self.template, self.settings, self.noise = template, Settings(), view.noise
         width, height = box[2:]
         settings, self.side, self.shape = self.settings, max(width, height), (height, width)
-        self._finest = max(0, int(np.ceil(np.log2(self.side / settings.largest))))
+        self._finest = max(0, int(np.ceil(np.log2(self.side / settings.max_side))))
         self._scale = 2.0**self._finest
         cut = partial(make_level, box=box, pose=pose, motion=motion)
         fine = view.layer(self._finest)
@@ -102,13 +102,13 @@ class RobustSearch:
             )
             self._photometric.append(make_photometric(sharp, blurred, settings.bias_splines))
         self._points = PointFlow(self._blurred[0], fine, pose, self.side >> self._finest)
-        self._distortions = distortions(motion, settings.distortion)
+        self._distortions = distortions(motion, settings.distortion_step)
         self.first_lookalikes = self.lookalikes(view.image, pose)
 
     def is_enough(self, agreement: Agreement) -> bool:
         """Return whether the blocks of the template agree, and have enough texture for that."""
-        most_agree = agreement.agreeing >= self.settings.agreed
-        return most_agree and agreement.texture >= self.settings.texture
+        most_agree = agreement.agreeing >= self.settings.min_agreement
+        return most_agree and agreement.texture >= self.settings.min_texture
 
     def blocks_agree(self, fit: Alignment, limit: tuple[float, float] | None = None) -> bool:
         """Return whether all blocks of the template agree with an alignment of one gain and bias.
@@ -131,7 +131,7 @@ class RobustSearch:
     def match_poses(self, view: View, pose: Array) -> list[Array]:
         """Return the pose translated to where the template correlates best in the view."""
         layer, apart = view.layer(self._halvings), min(self._coarse.grey.shape) // 4
-        return ncc_peaks(self._coarse, layer, pose, apart=apart)[: self.settings.places]
+        return ncc_peaks(self._coarse, layer, pose, apart=apart)[: self.settings.max_matches]
 
     def far_poses(self, view: View, pose: Array) -> list[Array]:
         """Return the best of a pose that is distorted, or translated to the best matches.
@@ -204,13 +204,13 @@ class RobustSearch:
 
         Only the nearest places are tested.
         """
-        view, least = View(image, 0.0), self.settings.alike
+        view, least = View(image, 0.0), self.settings.lookalike_ncc
         peaks = ncc_peaks(self._blurred[0], view.layer(self._finest), pose, apart=2, least=least)
         offsets = [self.displacement(pose, peak) for peak in peaks]
         elsewhere = sorted((np.hypot(*off), *off) for off in offsets if np.hypot(*off) > 3)
         fits = [
             self.template.align(view.image, translate(pose, np.array(off)))
-            for _, *off in elsewhere[: self.settings.places]
+            for _, *off in elsewhere[: self.settings.max_matches]
         ]
         equal = [self.displacement(pose, fit.pose) for fit in fits if self.blocks_agree(fit)]
         return np.array([off for off in equal if np.hypot(*off) > 3]).reshape(-1, 2)
@@ -240,7 +240,7 @@ class RobustSearch:
             fit,
             slope=fit.slope,
             transmission=level.noise**2,
-            factor=self.settings.unmodeled,
+            factor=self.settings.covariance_factor,
         )
 
     def _score(self, view: View, pose: Array, blur: int = 0) -> float:

@@ -1,4 +1,4 @@
-"""What the tracker is set to: found on development photographs, and checked on others."""
+"""Settings of the robust search, found on development photographs and checked on others."""
 
 from __future__ import annotations
 
@@ -9,64 +9,67 @@ from dataclasses import dataclass
 class Settings:
     """Settings of the attempts, with the reason for each.
 
-    "Variants" is that table of the tracker's benchmark on photographs.
-
     Attributes
     ----------
-    agreed, texture, certain : float
-        Share of the texture that must agree, how much of it (blocks' variance over the noise's) and
-        how certain a corner (px) there must be, for a pose to need no further search.
+    min_agreement : float
+        Texture of the blocks that agree over that of all, from which on a pose needs no search.
+    min_texture : float
+        Sum of the variances of the blocks over that of the noise that this decision needs.
+    max_sigma : float
+        Standard deviation of a corner (px) up to which this decision is made.
     steady_light, changed_ground : tuple of float
-        Residual of the blocks' means about one gain and bias, in the noise and in the contrast: up
-        to the first the light counts as unchanged, up to the second the template as the same on
-        changed ground.
-    confirmed : float
-        Corner distance (px) up to which two alignments with different photometric models agree, and
-        their largest standard deviation. Without this rule a frame of the gripper takes four times
-        as long.
-    clear : float
-        Residual in smooth light, in the noise, up to which nothing is hidden.
+        Largest residual of the blocks' means about one gain and bias: a multiple of the noise plus
+        a multiple of the contrast. Up to the first the illumination counts as unchanged; up to the
+        second a plain alignment can confirm a photometric fit, though the ground between details of
+        the template may have changed.
+    max_difference : float
+        Largest distance of the corners (px) at which a plain alignment confirms a photometric fit,
+        and largest standard deviation of that fit. Without this rule a frame of the gripper takes
+        four times as long.
+    max_residual : float
+        Robust standard deviation of the residual of a photometric fit over the noise, up to which
+        nothing is hidden.
     threshold : float
         Probability of being right from which on a pose is accepted.
-    alike : float
-        Normalized correlation from which on another place of a frame looks like the template.
-    largest : int
-        Side (px) that the template has at most at the finest level of the search: its cost.
-    distortion : float
+    lookalike_ncc : float
+        Normalized correlation from which on another place of a frame may be a lookalike.
+    max_side : int
+        Largest side (px) of the template at the finest level of the search, which limits its cost.
+    distortion_step : float
         Step of the distorted starts along each generator. Without these starts 75 % instead of 92 %
         of the homographies of 15 px are found.
-    places : int
-        Best matches that are tried: without them no translation of 32 px is found.
+    max_matches : int
+        Peaks of the correlation that are tried. Without them no translation of 32 px is found.
     beam : int
-        Starts that are followed to the end.
+        Starts that are aligned with the photometric model.
     beam_share : float
-        Share of the best start's nats that the others need for that.
+        Score over that of the best start that such a start needs.
     least_score : float
-        Nats below which no start is finished: no template that was there had less.
+        Score (nats) that such a start needs; a hopeless frame then costs no photometric fit.
     blurs : tuple of float
-        Standard deviations (px) of the blurs of the template: "Variants".
+        Standard deviations (px) of the blurs of the template.
     bias_splines : int
         Cubic splines of the bias along a side.
-    unmodeled : float
-        Factor of the covariance of a photometric fit for what its model leaves out: a blur between
-        those tried.
+    covariance_factor : float
+        Factor of the covariance of a photometric fit for what its model omits: a blur between those
+        tried.
     """
 
-    agreed: float = 0.95
-    texture: float = 100.0
-    certain: float = 0.15
+    min_agreement: float = 0.95
+    min_texture: float = 100.0
+    max_sigma: float = 0.15
     steady_light: tuple[float, float] = (0.5, 0.02)
     changed_ground: tuple[float, float] = (1.0, 0.2)
-    confirmed: float = 0.5
-    clear: float = 1.5
+    max_difference: float = 0.5
+    max_residual: float = 1.5
     threshold: float = 0.7
-    alike: float = 0.9
-    largest: int = 64
-    distortion: float = 0.15
-    places: int = 6
+    lookalike_ncc: float = 0.9
+    max_side: int = 64
+    distortion_step: float = 0.15
+    max_matches: int = 6
     beam: int = 3
     beam_share: float = 0.5
     least_score: float = 1.0
     blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
     bias_splines: int = 5
-    unmodeled: float = 1.5
+    covariance_factor: float = 1.5
