@@ -117,7 +117,8 @@ class Claim:
     note : str
         Why it disagrees, or which data are missing.
     test : str
-        The test that holds what is computed, as pytest names it.
+        A test that shows more than the check in the notebook, such as a known truth that is
+        recovered, as pytest names it.
     """
 
     id: str
