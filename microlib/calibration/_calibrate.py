@@ -137,7 +137,7 @@ def _inputs(
             raise ValueError(f"image must hold one array for each of the {len(worlds)} views")
         return worlds, list(image) if several else [image], None, image_size
     if image is not None or image_size is not None:
-        raise ValueError("image and image_size must not be given beside a detection")
+        raise ValueError("image and image_size must not be given with a detection")
     if len(found) < len(worlds):
         raise ValueError("world must hold either detections or points, got both")
     if pitch is None:

@@ -53,19 +53,19 @@ class Calibration(Tidy):
     Parameters
     ----------
     microscope : Microscope
-        With the estimated parameters, in focus: d = f²/T_op (2.20).
+        Microscope with the estimated parameters, in focus: d = f²/T_op (2.20).
     parameters : tuple of str
-        What was estimated, in the order of `estimate` and `covariance`; lengths in µm, angles in
-        rad, κ in 1/µm².
+        Names of the estimated parameters, in the order of `estimate` and `covariance`. Lengths are
+        in µm, angles in rad, κ in 1/µm².
     estimate : ndarray, shape (p,)
-        The estimates.
+        Estimates of the parameters.
     covariance : ndarray, shape (p, p)
-        Their covariance. Variances of parameters in `undetermined` are infinite, covariances beside
-        them NaN.
+        Covariance of the estimates. Undetermined parameters have infinite variances and NaN
+        covariances.
     undetermined : tuple of str
-        Parameters that these points do not determine, whatever `estimate` says.
+        Parameters that the points do not determine. Their estimates have no meaning.
     dof : int
-        Degrees of dof behind the residual's variance.
+        Degrees of freedom of the covariance, for Student's distribution.
     residuals : ndarray, shape (N, 2)
         Image points minus their projection, px.
     plane_residuals : ndarray, shape (N, 2)

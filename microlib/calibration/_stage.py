@@ -7,12 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import (
-    Array,
-    Tidy,
-    as_array,
-    same_length,
-)
+from microlib._common import Array, Tidy, as_array, same_length
 from microlib.calibration._uncertainty import FARTHEST, reciprocal_interval, student_quantile
 
 
@@ -122,10 +117,10 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
     half_width = float(relative * student_quantile(dof)) if dof else np.nan
     return StageAffine(
-        matrix,
-        covariance,
-        (float(pixel), *reciprocal_interval(float(pixel), half_width)),
-        float(np.arctan2(linear[1, 0], linear[0, 0])),
-        bool(np.linalg.det(linear) < 0),
-        residuals,
+        matrix=matrix,
+        covariance=covariance,
+        um_per_pixel=(float(pixel), *reciprocal_interval(float(pixel), half_width)),
+        angle=float(np.arctan2(linear[1, 0], linear[0, 0])),
+        mirrored=bool(np.linalg.det(linear) < 0),
+        residuals=residuals,
     )

@@ -50,8 +50,8 @@ def cramer_rao(
     Raises
     ------
     ValueError
-        If `world` or `noise` has a wrong shape or value, a point lies beyond the reach of the
-        distortion model, or a name is unknown.
+        If `world` or `noise` has a wrong shape or value, a point lies outside the domain of
+        the distortion model, or a name is unknown.
 
     Examples
     --------
@@ -168,9 +168,9 @@ class LackOfFit:
 def covariance(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> tuple[Array, LackOfFit]:
     """Covariance of `Fit.estimate` from image noise and from lack of fit, and the test of the fit.
 
-    The errors of all points of a mark are correlated: those of its points in one view, as the
-    corners of a square share its sides, and those in several views, as a mark may be printed beside
-    its place. `marks` has the number of the mark of each point; without it points are independent.
+    `marks` has the number of the mark of each point. The errors of the points of a mark are
+    correlated: in one view the corners of a square share its sides, and in all views a printed mark
+    has the same error of its position. Without `marks` the points are independent.
     """
     residuals, jacobian = fit.residuals, fit.jacobian
     inverse = inverse_normal(jacobian)

@@ -248,7 +248,7 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
     need = "world and image must fit one microscope, none was found: leave out the odd views"
     if given is not None:
         need = f"focal_length must fit each view in focus, got {given:g} µm: better leave it out"
-    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():  # beyond the distortion's reach
+    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():  # outside the domain of distort
         raise ValueError(need)
     found = least_squares(
         lambda values: evaluate(values.tobytes())[0],

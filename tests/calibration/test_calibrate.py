@@ -306,7 +306,7 @@ def test_detections_need_only_pitch_and_pixel_size():
     assert [v.beta for v in both.views] == pytest.approx([0.1, -0.15], abs=1e-3)
     for wrong, word in (
         ({"world": found[0]}, "pitch must be given"),
-        ({"world": found[0], "pitch": 400, "image_size": (260, 220)}, "must not be given beside"),
+        ({"world": found[0], "pitch": 400, "image_size": (260, 220)}, "must not be given with"),
         ({"world": [found[0], world], "pitch": 400}, "either detections or points"),
         *(
             ({"world": [found[0], replace(found[1], image_size=size)], "pitch": 400}, "one size")

@@ -158,8 +158,8 @@ def _strongest(
     centers, areas = rows["center"], rows["area"]
     chosen = np.ones(len(rows), dtype=bool)
     near = cKDTree(centers).query_ball_point(centers, np.sqrt(areas / np.pi) / 2)
-    for k, beside in enumerate(near):
+    for k, close in enumerate(near):
         if chosen[k]:
-            later = [j for j in beside if j > k and 1 / 2 < areas[j] / areas[k] < 2]
+            later = [j for j in close if j > k and 1 / 2 < areas[j] / areas[k] < 2]
             chosen[later] = False
     return Marks(image, smooth, centers[chosen], rows["moments"][chosen], areas[chosen], settings)

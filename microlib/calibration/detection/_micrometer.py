@@ -1,4 +1,4 @@
-"""Detect the lines of a stage micrometer: what a pixel measures, from the scale that labs have."""
+"""Detection of the lines of a stage micrometer, which give the size of a pixel."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class Micrometer(Tidy):
     points : ndarray, shape (N, 2)
         A point (x, y) of each line, on the axis of the scale, px.
     divisions : ndarray of int, shape (N,)
-        Which line of the scale each is, from zero on.
+        Number of each line on the scale, from zero.
     residuals : ndarray, shape (N,)
-        Place of each line across it less that of equal divisions, px.
+        Position of each line minus that of equal divisions, px.
     spacing : float
         Distance of neighboring lines, px.
     spacing_sigma : float
-        Its standard deviation, from the residuals.
+        Standard deviation of the spacing, from the residuals.
     angle : float
-        Direction across the lines, from the image's x axis, rad, from x to y.
+        Direction across the lines, measured from the x axis of the image towards y, rad.
     """
 
     _large = ("divisions", "points", "residuals")
@@ -43,7 +43,7 @@ class Micrometer(Tidy):
     angle: float
 
     def um_per_pixel(self, division: float) -> tuple[float, float, float]:
-        """What a pixel measures, µm, and the ends of its 95 % interval.
+        """Size of a pixel, µm, with the limits of its 95 % interval.
 
         Parameters
         ----------
@@ -53,7 +53,7 @@ class Micrometer(Tidy):
         Returns
         -------
         tuple of float
-            Estimate, low and high.
+            Estimate, lower and upper limit.
         """
         size = scalar("division", division, above=0) / self.spacing
         half_width = student_quantile(len(self.points) - 2) * self.spacing_sigma / self.spacing
@@ -61,43 +61,50 @@ class Micrometer(Tidy):
 
 
 def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
-    """Lines of a scale in an image, as :func:`detect_micrometer` finds them."""
+    """Detect the lines of a scale; see :func:`detect_micrometer`."""
     angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
     rows, dark = _profile(upright)
     places, spacing = _lines(dark)
     places = _centers(dark, places, spacing)
-    divisions = np.concatenate([[0], np.cumsum(np.round(np.diff(places) / spacing))]).astype(
-        np.intp
-    )
+    steps = np.round(np.diff(places) / spacing).astype(np.intp)
+    divisions = np.concatenate([[0], np.cumsum(steps)])
     spacing, first = np.polyfit(divisions, places, 1)
     residuals = places - first - spacing * divisions
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
-    if (
-        spacing < 4 or rms > settings.max_line_residual * spacing
-    ):  # closer ones have no ground between
-        raise _refusal(f"lines {spacing:.3g} px apart, {rms / spacing:.2g} of it beside equal ones")
+    deviation = rms / spacing
+    if spacing < 4 or deviation > settings.max_line_residual:  # closer lines merge
+        raise _no_scale(f"lines {spacing:.3g} px apart that are {deviation:.2g} divisions off")
     begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
     top, bottom = np.flatnonzero(rows)[[0, -1]]
-    alike = _row_likeness(upright[top : bottom + 1, begin:end])
-    if alike < settings.min_correlation:
-        raise _refusal(f"broken ones, whose rows correlate with their mean by {alike:.2f}")
+    common = _row_correlation(upright[top : bottom + 1, begin:end])
+    if common < settings.min_correlation:
+        raise _no_scale(f"interrupted ones, with a correlation of rows of {common:.2f}")
     sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
-    return Micrometer(points, divisions, residuals, float(spacing), float(sigma), angle)
+    return Micrometer(
+        points=points,
+        divisions=divisions,
+        residuals=residuals,
+        spacing=float(spacing),
+        spacing_sigma=float(sigma),
+        angle=angle,
+    )
 
 
 def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
-    """The rows that cross the lines, along which much changes, and how dark their mean is, from 0
-    to 1 between its envelopes: light may be uneven."""
+    """The rows that cross the lines, and the darkness of their mean profile.
+
+    The darkness is from 0 to 1 between the envelopes of the profile, which follow uneven light.
+    """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
     rows = change >= (np.nanmin(change) + np.nanmax(change)) / 2
     profile = _mean(upright[rows])
     if not np.isfinite(profile).any():
-        raise _refusal("no row across them")
+        raise _no_scale("no row across them")
     profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
     size = len(profile) // 4
     low, high = (
@@ -105,43 +112,47 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
         for envelope in (minimum_filter1d, maximum_filter1d)
     )
     evened = (profile - low) / np.maximum(high - low, np.ptp(profile) / 10 + np.finfo(float).tiny)
-    return rows, evened if evened.mean() < 1 / 2 else 1 - evened  # lines are the lesser part
+    return rows, evened if evened.mean() < 1 / 2 else 1 - evened  # lines cover less than half
 
 
 def _lines(dark: Array) -> tuple[Array, float]:
-    """Peaks of a profile that are equidistant, but for a few, and their distance, px."""
+    """Peaks of a profile that are equidistant with few exceptions, and their distance, px."""
     from scipy.signal import find_peaks  # here, as it takes long to import
 
-    # Numerals and dirt lie lower once the profile is averaged along the lines.
+    # Numerals and dirt have lower peaks in the mean profile.
     places = find_peaks(dark, prominence=np.ptp(dark) / 3)[0].astype(np.float64)
     gaps = np.diff(places)
     steps = gaps / np.median(gaps) if len(gaps) else gaps
-    alike = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
-    ends = np.concatenate([[0], np.flatnonzero(~alike) + 1, [len(places)]])
+    regular = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
+    ends = np.concatenate([[0], np.flatnonzero(~regular) + 1, [len(places)]])
     longest = int(np.argmax(np.diff(ends)))
     run = slice(ends[longest], ends[longest + 1])
     kept = places[run]
     if len(kept) < max(5, 3 / 4 * len(places)):  # five lines leave three residuals
-        raise _refusal(f"{len(kept)} of {len(places)} lines")
+        raise _no_scale(f"{len(kept)} of {len(places)} lines")
     return kept, float(np.diff(kept).sum() / np.round(steps[run][: len(kept) - 1]).sum())
 
 
 def _centers(dark: Array, places: Array, spacing: float) -> Array:
-    """Center of what is darker than its ground within two fifths of a division about each line,
-    four times anew. The ground is a straight line, for light may be uneven."""
+    """Centroid of the darkness within two fifths of a division of each line, in four iterations.
+
+    A straight line is subtracted as the background, which allows for uneven light.
+    """
     part = np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
-    reach = 2 / 5 * spacing * part
+    offsets = 2 / 5 * spacing * part
     for _ in range(4):
-        line = np.interp(places[:, None] + reach, np.arange(len(dark)), dark)
+        line = np.interp(places[:, None] + offsets, np.arange(len(dark)), dark)
         first, last = line[:, :1], line[:, -1:]
         line = np.maximum(line - (first + last + part * (last - first)) / 2, 0)
-        places = places + line @ reach / np.maximum(line.sum(axis=1), np.finfo(float).tiny)
+        places = places + line @ offsets / np.maximum(line.sum(axis=1), np.finfo(float).tiny)
     return places
 
 
-def _row_likeness(strip: NDArray[np.float32]) -> float:
-    """Correlation with their mean that three of four rows reach: next to none in the rows between
-    the circles or squares of a grid, which are no lines."""
+def _row_correlation(strip: NDArray[np.float32]) -> float:
+    """Lower quartile of the correlation of the rows with their mean.
+
+    It is close to zero for a grid of circles or squares, for the rows between them.
+    """
     strip = strip[:, np.isfinite(_mean(strip))]
     strip = np.where(np.isfinite(strip), strip, _mean(strip))
     about = strip - strip.mean(axis=1, keepdims=True)
@@ -151,18 +162,19 @@ def _row_likeness(strip: NDArray[np.float32]) -> float:
 
 
 def _direction(grey: NDArray[np.float32], settings: Settings) -> float:
-    """Angle across the lines: the gradients' own, then where the mean profile is sharpest."""
+    """Angle across the lines: near the mean direction of the gradients, the one with the sharpest
+    mean profile."""
     gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
     turns = first + np.linspace(-settings.angle_range, settings.angle_range, settings.angle_count)
     changes = [np.diff(_mean(_turned(grey, turn)[0])) ** 2 for turn in turns]
-    # A strip that is turned too far has no column left.
+    # A strip with a large rotation has no complete column.
     sharp = [np.nansum(each) / max(np.isfinite(each).sum(), 1) for each in changes]
     return float(turns[np.argmax(sharp)])
 
 
 def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:
-    """Image with the lines upright, NaN outside, and the matrix to its coordinates."""
+    """Image rotated to upright lines, NaN outside, and the matrix to its coordinates."""
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     ends = np.array(grey.shape[::-1]) / 2
     size = 2 * np.ceil(np.abs(turn) @ ends)
@@ -179,5 +191,5 @@ def _mean(rows: NDArray[np.float32]) -> Array:
     return np.where(count > len(rows) / 2, sums / np.maximum(count, 1), np.nan)
 
 
-def _refusal(got: str) -> ValueError:
+def _no_scale(got: str) -> ValueError:
     return ValueError(f"image must show a scale of equidistant lines, got {got}")

@@ -157,12 +157,12 @@ def _neighbor_light(outline: Outline, fit: OutlineFit, patches: Patches) -> Arra
     # Diagonal neighbors are √2 steps away, and the next ones 2.
     near = distance < np.sqrt(3) * np.median(distance[:, 1])  # infinite where there are no more
     taken = np.zeros_like(patches.x)
-    for other, beside in zip(np.where(near, index, 0).T[1:], near.T[1:], strict=True):
+    for other, adjoining in zip(np.where(near, index, 0).T[1:], near.T[1:], strict=True):
         x, y = (centers - centers[other]).T[..., None]
         parameters = fit.parameters[other]
         shifted = replace(patches, x=patches.x + x, y=patches.y + y)
         light, inside, *_ = _parts(outline, parameters, shifted)
-        fitted = beside & np.isfinite(fit.covariance[other, 0, 0])
+        fitted = adjoining & np.isfinite(fit.covariance[other, 0, 0])
         taken += np.where(fitted[:, None], light * inside * parameters[:, CONTRAST, None], 0.0)
     return taken * patches.weight
 

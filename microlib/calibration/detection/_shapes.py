@@ -148,15 +148,15 @@ def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
     return fit_shapes(_quad, start, patches, gap, marks.settings)
 
 
-def fit_crossings(marks: Marks, steps: Array, reach: float = 0.45) -> OutlineFit:
+def fit_crossings(marks: Marks, steps: Array, half_width: float = 0.45) -> OutlineFit:
     """Fit two lines to each corner of a board, along the lattice's steps.
 
-    `reach` is half the width of a patch, in sides of a field. The patch must not contain the next
+    `half_width` is that of a patch, in sides of a field. The patch must not contain the next
     edges, a side away, with their blur and foreshortening, nor the markers in the fields.
     """
     settings = marks.settings
     side = np.abs(np.linalg.det(steps)) / np.linalg.norm(steps, axis=1).max(axis=1)
-    radius = np.clip(reach * side, 3, settings.max_patch)[:, None]
+    radius = np.clip(half_width * side, 3, settings.max_patch)[:, None]
     near = (0.0, 1.0)
     patches = cut_patches(marks, radius.max(), lambda x, y: np.hypot(x, y) / radius, near)
     start = _start_lines(steps.transpose(0, 2, 1), (marks.centers - patches.centers)[:, None])
@@ -215,7 +215,7 @@ _MODELS = {
     "circles": _Model(fit_ellipses, ellipse_center, (BLUR, CONTRAST, *SLOPES)),
     "squares": _Model(fit_quads, quad_corners, (0, 1, 2, 3, BLUR, CONTRAST, *SLOPES)),
     "chessboard": _Model(fit_crossings, quad_corners, ()),
-    "charuco": _Model(partial(fit_crossings, reach=1 / 8), quad_corners, ()),
+    "charuco": _Model(partial(fit_crossings, half_width=1 / 8), quad_corners, ()),
 }
 
 
