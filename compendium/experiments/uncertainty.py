@@ -72,7 +72,7 @@ def focal_stacks(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
         frames.append(expose(below + (k - low) * (above - below), rng))
     yield "slope", slope, np.stack(frames)
     codes = [cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 80])[1] for frame in frames]
-    coded = np.stack([cv2.imdecode(code, cv2.IMREAD_GRAYSCALE) for code in codes])
+    coded = np.stack([np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)) for code in codes])
     yield "slope, JPEG of quality 80", slope, coded
     # A focus ring: blur grows as |1/a − 1/b|, faster on the near side.
     blurs = [12 * abs(1 / (6 + k) - 1 / 16.3) * 16 for k in positions]
@@ -162,11 +162,11 @@ def moduli(seed: int, count: int) -> dict[str, tuple[NDArray, NDArray]]:
     them. The others show closed capsules, which are drawn as polygons.
     """
     rng = np.random.default_rng(seed)
-    walls = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+    walls: Any = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
     rows: dict[str, list[tuple[float, float]]] = {"follows (4.2)": [], "closed capsule": []}
     while min(map(len, rows.values())) < count:
         modulus, force, radius = rng.uniform([0.6, 60, 550], [1.8, 180, 650])
-        egg = {"modulus": modulus, "radius": radius, "inflation": rng.uniform(1.01, 1.08)}
+        egg: Any = {"modulus": modulus, "radius": radius, "inflation": rng.uniform(1.01, 1.08)}
         try:
             state = indent_capsule(force, **egg, **walls)
         except ValueError:  # no dimple at this force
@@ -192,7 +192,7 @@ def draw_capsule(state: Any, rng: np.random.Generator) -> NDArray[np.uint8]:
     outline = np.concatenate([half[::-1] * [-1, 1], half]) / 2.0
     floor, tip = 760.0 + outline[:, 1].min(), float(state.z[0]) / 2
     probe = np.array([[-12.5, tip], [12.5, tip], [12.5, 1500.0], [-12.5, 1500.0]])
-    picture = np.full((fine * 800, fine * 800), 200.0, np.float32)
+    picture: NDArray = np.full((fine * 800, fine * 800), 200.0, np.float32)
     for polygon, grey in ((outline, 120.0), (probe, 40.0)):
         place = fine * 16 * (polygon * [1, -1] + [400.0, floor])
         cv2.fillPoly(picture, [np.rint(place).astype(np.int32)], grey, cv2.LINE_AA, 4)
