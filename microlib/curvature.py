@@ -14,17 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    MICROMETERS,
-    Array,
-    Result,
-    as_array,
-    as_map,
-    of_kind,
-    positive,
-    scalar,
-    whole,
-)
+from microlib._common import MICROMETERS, Array, Result, as_array, as_map, positive, scalar, whole
 from microlib._common._opencv import cv2
 
 if TYPE_CHECKING:
@@ -442,7 +432,6 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     0      1  convex elliptic   841
     """
     types, regions = _regions(labels)
-    of_kind("curvature", curvature, Curvature)
     if types.shape != curvature.mean.shape:
         raise ValueError(
             f"labels must have the shape {curvature.mean.shape} of curvature, got {types.shape}"

@@ -358,12 +358,8 @@ def parameters(name: str, valid: dict[str, object]) -> list[str]:
 
 def wrong_kinds(value: object) -> dict[str, object]:
     """Return what is never right in the place of a valid value, for its kind."""
-    if isinstance(value, (bool, np.bool_)):
-        return {"text": "yes", "2": 2, "nan": np.nan, "[]": []}
     if isinstance(value, str):
         return {"text": "another", "3": 3, "bytes": b"x", "[]": []}
-    if isinstance(value, Path):
-        return {"3": 3, "nan": np.nan}
     if isinstance(value, (int, float, np.number)):
         masked = np.ma.array(1.0, mask=True)
         return {
@@ -372,10 +368,7 @@ def wrong_kinds(value: object) -> dict[str, object]:
             **{"True": True, "[1.0]": [1.0], "[]": []},
         }
     if not is_array(value):
-        found = {"text": "text", "3.0": 3.0, "[]": [], "nan": np.nan}
-        if isinstance(value, dict):
-            found |= {"nan in it": {**value, "force": np.nan}, "another": {**value, "mass": 1.0}}
-        return found
+        return {"text": "text", "3.0": 3.0, "[]": [], "nan": np.nan}
     array = np.asarray(value)
     plain = array.astype(float)
     with_nan, with_inf = plain.copy(), plain.copy()
@@ -390,6 +383,16 @@ def wrong_kinds(value: object) -> dict[str, object]:
         **({"flat": array.ravel()} if array.ndim > 1 else {}),
         **({"one column less": array[..., :-1]} if array.shape[-1] == 2 else {}),
     }
+
+
+def is_checked(value: object) -> bool:
+    """Return whether a function checks what is in the place of a valid value.
+
+    It does not check that a flag is True or False, nor that a path, a dictionary, a function or an
+    object of this library is one.
+    """
+    kinds = (int, float, np.number, str, list, tuple, type(None), np.ndarray)
+    return isinstance(value, kinds) and not isinstance(value, bool)
 
 
 def is_array(value: object) -> bool:

@@ -97,11 +97,11 @@ ACCEPTED = {
     "empty": ("io.read_frames.frames",),
     "ragged": ("io.write_ply.image",),  # refused in NumPy's words
 }
-#: What is not checked: a text that is written as it is, what is only asked for its truth, a factor
-#: of a drawing, and the y of an outline, of which a message speaks together with its x.
+#: What is not checked: a text that is written as it is, a factor of a drawing, a function that is
+#: None by default, and the y of an outline, of which a message speaks together with its x.
 FREE = (
-    "io.write_height_tiff.what", "embryo.extract_boundary.dimple", "membrane.fit_capsule.fit_tilt",
-    "*.GripperScene.frame.gain", "embryo.dimple_from_outline.y",
+    "io.write_height_tiff.what", "*.GripperScene.frame.gain", "*.progress", "*.observer",
+    "embryo.dimple_from_outline.y",
 )  # fmt: skip
 
 
@@ -112,7 +112,8 @@ def fits(key: str, patterns: tuple[str, ...]) -> bool:
 def arguments(name: str) -> Iterator[tuple[str, object]]:
     """Yield the arguments of a valid call that are looked at, with their values."""
     for argument, value in fuzz.valid_call(name).items():
-        if argument != "self" and not fits(f"{name}.{argument}", FREE):
+        free = argument == "self" or fits(f"{name}.{argument}", FREE)
+        if not free and fuzz.is_checked(value):
             yield argument, value
 
 
@@ -247,8 +248,8 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "membrane.indent_disc.probe_half_width": (213.0,),
     "membrane.modulus_samples.stds": ({"poisson_ratio": 1e5},),
     "membrane.modulus_std.dimple_covariance": (np.eye(3),),
-    "membrane.modulus_std.stds": ({"mass": 1.0}, {"force": -1.0}, {"dimple_depth": 1.0}),
-    "membrane.modulus_std.values": ({"force": 1.0},),
+    "membrane.modulus_std.stds": ({"mass": 1.0}, {"force": np.nan}, {"dimple_depth": 1.0}),
+    "membrane.modulus_std.values": ({"force": 1.0}, fuzz.INPUTS | {"force": np.nan}),
     "membrane.viscoelastic_force.elastic_force": ([0.0, 1.0],),
     "membrane.viscoelastic_force.prony_coefficients": ([0.7, 0.7], [-0.1, 0.1]),
     "membrane.viscoelastic_force.time": ([0.0, 0.0, 1.0, 2.0],),

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 from operator import ge, gt, le, lt
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -197,19 +196,6 @@ def whole(
     if odd and number % 2 == 0:
         raise ArgumentError(name, f"must be odd, got {number}")
     return number
-
-
-def of_kind(name: str, value: object, *kinds: Any) -> None:
-    """Raise unless `value` is an instance of one of `kinds`."""
-    if not isinstance(value, kinds):
-        known = " or ".join(kind.__name__ for kind in kinds)
-        raise ArgumentError(name, f"must be of type {known}, got {type(value).__name__}")
-
-
-def flag(name: str, value: object) -> bool:
-    """Return `value` if it is True or False."""
-    of_kind(name, value, bool, np.bool_)
-    return bool(value)
 
 
 def generator(name: str, value: object) -> np.random.Generator:

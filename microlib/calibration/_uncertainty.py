@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 from scipy.special import fdtrc, stdtrit
 
-from microlib._common import Array, inverse_normal, of_kind, scalar
+from microlib._common import Array, inverse_normal, scalar
 from microlib.calibration._views import Fit, Views
 from microlib.microscope import Microscope
 
@@ -66,7 +66,6 @@ def cramer_rao(
     >>> np.diag(cramer_rao(scope, world, 0.02, ("tube_length", "focal_length", "distance")))
     array([inf, inf, inf])
     """
-    of_kind("microscope", microscope, Microscope)
     noise = scalar("noise", noise, least=0, most=FARTHEST)
     jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
     if not np.isfinite(jacobian).all():

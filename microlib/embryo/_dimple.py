@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, inverse_normal, of_kind, one_of, scalar
+from microlib._common import Array, Tidy, as_array, inverse_normal, one_of, scalar
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.embryo._probe import MAD_TO_STD
@@ -101,7 +101,6 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     >>> print(f"a = {dimple.dimple_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
     a = 29.882 µm, w_d = 11.655 µm
     """
-    of_kind("curve", curve, GaussianSum)
     size = scalar("pixel_size", pixel_size, above=0)
     sign = {"left": -1, "right": 1}[one_of("rim", rim, ("left", "right"))]
     maxima, minima = curve.extrema()
@@ -247,7 +246,6 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     >>> print(f"{dimple.dimple_depth:.0f} µm, truth {scene.embryo.dimple_depth:.0f} µm")
     121 µm, truth 121 µm
     """
-    of_kind("boundary", boundary, Boundary)
     size = scalar("pixel_size", pixel_size, above=0)
     c = scalar("probe_half_width", probe_half_width, above=0) / size
     check_probe_width(boundary, c, size)

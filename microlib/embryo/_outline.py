@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, Array, Tidy, as_array, of_kind, same_length, scalar
+from microlib._common import MICROMETERS, Array, Tidy, as_array, same_length, scalar
 from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
@@ -72,7 +72,6 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     ...     read_outline(file).x
     array([1.5, 2. ])
     """
-    of_kind("path", path, str, PathLike)
     content = Path(path).read_bytes()
     try:
         wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))

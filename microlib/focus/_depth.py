@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Frames, Image, flag, of_kind, whole
+from microlib._common import Array, Frames, Image, whole
 from microlib.focus import multiscale
 from microlib.focus._filters import blur
 from microlib.focus._measures import MEASURES, FocusMeasure, single_measure
@@ -154,8 +154,7 @@ def depth_from_focus(
     42
     """
     single = single_measure(measure, window)
-    threads, register = whole("workers", workers, least=1), flag("register", register)
-    of_kind("progress", progress, Callable, type(None))
+    threads = whole("workers", workers, least=1)
     if multiscale.is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
         usual: Any = depth_from_focus.__kwdefaults__
         given = {"measure": measure, "workers": workers, "register": register, "reduce": reduce}

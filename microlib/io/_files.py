@@ -10,15 +10,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    MICROMETERS,
-    SOFTWARE,
-    as_array,
-    of_kind,
-    reject_masks,
-    replace_file,
-    scalar,
-)
+from microlib._common import MICROMETERS, SOFTWARE, as_array, reject_masks, replace_file, scalar
 from microlib.io._frames import read_frames
 
 
@@ -49,7 +41,6 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     Traceback (most recent call last):
     ValueError: path must name an image, got a.png: frames cannot be read from a.png: no such file
     """
-    of_kind("path", path, str, PathLike)
     try:
         return next(iter(read_frames([path])))
     except ValueError as error:
@@ -96,7 +87,6 @@ def write_height_tiff(
     ...     print(tifffile.imread(Path(folder) / "height.tif").shape)
     (4, 5)
     """
-    of_kind("path", path, str, PathLike)
     dtype = getattr(height, "dtype", None)
     kept = dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32
     values = as_array("height", height, dtype=kept, finite=False)
@@ -158,7 +148,6 @@ def write_ply(
     ...     print((Path(folder) / "surface.ply").read_bytes()[:3])
     b'ply'
     """
-    of_kind("path", path, str, PathLike)
     heights = as_array("height", height, shape=(None, None), finite=False)
     size = scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import ArgumentError, Frames, Region, as_array, as_region, flag, whole
+from microlib._common import ArgumentError, Frames, Region, as_array, as_region, whole
 from microlib.io._source import NamedFrames
 from microlib.io._sources import open_source
 
@@ -91,7 +91,7 @@ def read_frames(
     >>> reader.count, reader.shape, [frame.dtype.name for frame in reader]
     (2, (4, 5), ['uint8', 'uint8'])
     """
-    in_color, by = flag("color", color), whole("reduce", reduce, least=1)
+    by = whole("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
     wanted = {"channel": channel, "time": time, "series": series}
     choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
@@ -99,7 +99,7 @@ def read_frames(
     if choice:  # which the source has not applied
         name, number = choice.popitem()
         raise ArgumentError(name, f"must be left out for frames without that axis, got {number}")
-    return FrameReader(source, in_color, part, by)
+    return FrameReader(source, color, part, by)
 
 
 class FrameReader(Iterable[NDArray]):

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import MEASURED, Array, as_array, flag, poisson, positive
+from microlib._common import MEASURED, Array, as_array, poisson, positive
 
 #: Nodes and weights of the Gauss–Legendre quadrature over a profile. 400 nodes change strain and
 #: modulus by 1e-13, and by 2e-11 where the membrane is nearly vertical (w_d/a ≤ 1, ζ ≥ 0.01).
@@ -379,7 +379,7 @@ def mean_strain(
     values = check_inputs(dimple_radius, dimple_depth, probe_half_width)
     zeta = values["probe_half_width"] / values["dimple_radius"]
     steepness = values["dimple_depth"] / values["dimple_radius"]
-    if flag("small_slopes", small_slopes):
+    if small_slopes:
         shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
         return -(steepness**2) * shape
     # ρ = r/a runs over [ζ, 1] as ζ^t, t in [0, 1]; dρ = ln ζ · ρ dt.

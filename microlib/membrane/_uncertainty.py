@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, generator, of_kind, scalar, whole
+from microlib._common import Array, as_array, generator, scalar, whole
 from microlib.membrane._point_load import (
     annulus,
     check_inputs,
@@ -176,8 +176,6 @@ def _check_errors(
     dimple_covariance: ArrayLike | None = None,
 ) -> tuple[dict[str, Array], Array]:
     """Return the inputs of (5.2) and their covariance, in the order of `_INPUTS`."""
-    of_kind("values", values, Mapping)
-    of_kind("stds", stds, Mapping)
     if set(values) != set(_INPUTS):
         raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
     if not set(stds) <= set(_INPUTS):

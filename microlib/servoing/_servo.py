@@ -20,7 +20,6 @@ from microlib._common import (
     as_array,
     check_devices,
     interrupts,
-    of_kind,
     positive,
     scalar,
     whole,
@@ -196,8 +195,6 @@ def servo(
     check_devices(workstation)
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
-    of_kind("controller", controller, Callable, type(None))
-    of_kind("progress", progress, Callable, type(None))
     limits = positive("travel", travel)
     limits = as_array("travel", limits if limits.ndim else np.full(2, limits), shape=(2,))
     settings = Settings(

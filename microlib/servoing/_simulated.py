@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
-    as_array,
-    generator,
-    of_kind,
-)
+from microlib._common import Array, as_array, generator
 from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import Camera, Stage
 
@@ -92,9 +87,6 @@ class SimulatedWorkstation:
         home: ArrayLike = (0.0, 0.0),
         drift: ArrayLike = (0.0, 0.0),
     ) -> None:
-        of_kind("stage", stage, Stage)
-        of_kind("camera", camera, Camera)
-        of_kind("render", render, Callable)
         self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))

@@ -12,14 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
-    Tidy,
-    as_array,
-    generator,
-    of_kind,
-    scalar,
-)
+from microlib._common import Array, Tidy, as_array, generator, scalar
 from microlib.servoing._control import MOST_DELAY, full_rank
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
@@ -171,10 +164,6 @@ def simulate(
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
-    of_kind("stage", stage, Stage)
-    of_kind("camera", camera, Camera)
-    of_kind("controller", controller, Callable)
-    of_kind("observer", observer, Callable, type(None))
     wanted = as_array("reference", reference, shape=(None, 2))
     matrix = full_rank(jacobian, (2, 2))
     origin = wanted[0] if start is None else as_array("start", start, shape=(2,))

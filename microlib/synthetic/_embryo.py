@@ -16,17 +16,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
 
-from microlib._common import (
-    Array,
-    Result,
-    as_array,
-    flag,
-    generator,
-    image_shape,
-    of_kind,
-    poisson,
-    scalar,
-)
+from microlib._common import Array, Result, as_array, generator, image_shape, poisson, scalar
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
 from microlib.synthetic._textures import eight_bits
 
@@ -442,8 +432,6 @@ def embryo_image(
     ((768, 1024), 'uint8')
     """
     rng = generator("rng", rng)
-    of_kind("embryo", embryo, Embryo)
-    probe = flag("probe", probe)
     pixel_size = scalar("pixel_size", pixel_size, above=0)
     rows, columns = image_shape("shape", shape, least=64)
     tilt = scalar("tilt", tilt, least=-np.pi, most=np.pi)

@@ -14,14 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import (
-    Array,
-    as_array,
-    image_shape,
-    of_kind,
-    scalar,
-    whole,
-)
+from microlib._common import Array, as_array, image_shape, scalar, whole
 from microlib.microscope import Microscope
 from microlib.synthetic._textures import noise_source
 
@@ -250,9 +243,7 @@ def _render(
     rng: np.random.Generator | int | None,
 ) -> NDArray[np.float32]:
     """Render the pattern; `depth` returns the signed distance to its outline, µm."""
-    of_kind("microscope", microscope, Microscope)
     imaging = ImagingConditions() if imaging is None else imaging
-    of_kind("imaging", imaging, ImagingConditions)
     if counts is not None:
         image_shape("counts", counts)
     source = noise_source(rng, imaging.noise)

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Image, as_image, as_region, luminance, of_kind, one_of
+from microlib._common import Array, Image, as_image, as_region, luminance, one_of
 from microlib.tracking._esm import Template, check_texture, make_level
 from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
@@ -97,8 +97,6 @@ class ESMTracker:
         frame = np.ascontiguousarray(as_image("image", luminance("image", image)))
         motion = one_of("motion", motion, tuple(GENERATORS))
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=6)
-        if kalman is not None:
-            of_kind("kalman", kalman, KalmanFilter)
         self._grey_scale = _grey_scale_of(frame[y : y + height, x : x + width])
         frame = frame * self._grey_scale
         self._shape, self._kalman, self._seen = frame.shape, kalman, True

@@ -17,7 +17,6 @@ def test_valid_values_are_returned():
     assert check.as_image("x", np.zeros((3, 4), np.uint8), smallest=3).dtype == np.float32
     assert check.positive("x", [0.0, 2.0], zero=True).tolist() == [0.0, 2.0]
     assert check.whole("x", np.int64(3), least=3, odd=True, most=3) == 3
-    assert check.flag("x", np.False_) is False
     # NumPy's generator of the same seed draws the same; zero is a seed.
     assert check.generator("x", 0).random() == np.random.default_rng(0).random()
     assert check.items("x", range(2), 2) == (0, 1)
@@ -53,7 +52,6 @@ NUMBERS = [
 ]
 KINDS = [
     ("one_of", ["c", ("a", "b")], {}, "x must be one of a, b, got 'c'"),
-    ("flag", ["a" * 1000], {}, "x must be of type bool or .*, got str"),
     ("items", ["ab", 2], {}, "x must be 2 numbers, got 'ab'"),
     ("items", [np.ma.array([1, 2]), 2], {}, "x must be without a mask"),
 ]
