@@ -557,10 +557,10 @@ POINTS = pd.read_csv(INPUTS / "outline.csv")
 @pytest.mark.parametrize(
     ("table", "options", "code", "message"),
     [
-        (POINTS.assign(y=300 - POINTS["y"]), "", 0, "y is taken to run down"),
+        (POINTS.assign(y=300 - POINTS["y"]), "", 0, "with y pointing down"),
         (POINTS.assign(y=300 - POINTS["y"]), "--y-down", 0, ""),
         (POINTS, "--y-down", 2, "leave out --y-down"),
-        (POINTS.rename(columns={"x": "col", "y": "row"}), "", 0, "y is taken to run up"),
+        (POINTS.rename(columns={"x": "col", "y": "row"}), "", 0, "with y pointing up"),
         (POINTS.rename(columns={"x": "x_um", "y": "y_um"}), "", 2, "leave out --pixel-size"),
     ],
 )

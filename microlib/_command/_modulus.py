@@ -44,7 +44,8 @@ def run(a: argparse.Namespace) -> Files:
     if measured.y_down:
         if a.y_down:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
-        a.note(f"{a.source}: y is taken to run {'up' if down else 'down'}, where its dimple is")
+        seen = "up" if down else "down"
+        a.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
     left, left_text = _estimate(measured.left, values, stds)
     right, right_text = _estimate(measured.right, values, stds)
     low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))

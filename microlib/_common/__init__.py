@@ -1,4 +1,4 @@
-"""Argument checks, array types, covariances, files, results and device calls for all packages."""
+"""Argument checks, array types, covariances, files and results for all packages."""
 
 from microlib._common._checks import (
     MEASURED,
@@ -22,14 +22,6 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._covariance import inverse_normal
-from microlib._common._devices import (
-    Ending,
-    EndRun,
-    Guard,
-    RunInterrupt,
-    check_devices,
-    interrupts,
-)
 from microlib._common._files import SOFTWARE, home_path, replace_file
 from microlib._common._results import Result, Tidy, flat_row
 from microlib._common._types import Array, Frames, Image, Region

@@ -50,16 +50,22 @@ def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
         (p for p in _as_list(pixels.get("Plane", [])) if (p.get("TheC"), p.get("TheT")) == wanted),
         key=lambda plane: plane.get("TheZ", 0),
     )
-    # Without a unit, positions are in one of the microscope's own.
-    z = np.array([_micrometers(p.get("PositionZ"), p.get("PositionZUnit")) for p in planes])
+    # Positions without a unit of length are in one of the microscope's own.
+    named = all(str(p.get("PositionZUnit")) in MICROMETERS for p in planes)
+    z = np.array(
+        [_micrometers(p.get("PositionZ"), p["PositionZUnit"] if named else "µm") for p in planes]
+    )
     gaps = np.diff(z)
     size = _square(x, y, name)
     if not len(z) == count > 1 or not ((gaps > 0).all() or (gaps < 0).all()):
         return size, _even_positions(step, count)
-    if abs(abs(gaps.mean()) - step) > 0.1 * step:
-        both = f"planes {abs(gaps.mean()):g} µm apart and a spacing of {step:g} µm"
-        warnings.warn(f"{name} has {both}: the former is used", stacklevel=2)
-    return size, z
+    apart, used = abs(gaps.mean()), "former" if named else "latter"
+    if abs(apart - step) > 0.1 * step:
+        both = (
+            f"planes {apart:g} {'µm' if named else '(no unit)'} apart and a spacing of {step:g} µm"
+        )
+        warnings.warn(f"{name} has {both}: the {used} is used", stacklevel=2)
+    return size, z if named else _even_positions(step, count)
 
 
 def _as_list(value: Any) -> list[Any]:

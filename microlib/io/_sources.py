@@ -102,7 +102,7 @@ def open_labeled(frames: Any, choice: Choice) -> Source:
     if {"y", "x"} <= set(names) and not color and names[-2:] != ["y", "x"]:
         frames = frames.transpose(..., *(frames.dims[names.index(name)] for name in "yx"))
     *leading, y, x = frames.dims[: len(names) - color]
-    # Axes of other names are told apart by their number.
+    # An axis of another name has its number as its letter.
     letters = "".join(_LETTERS.get(str(dim).lower(), str(k)) for k, dim in enumerate(leading))
     indices, axis = select_frames(letters, frames.shape[: len(leading)], choice)
     dims = leading[letters.index(axis) if axis else 0], y, x

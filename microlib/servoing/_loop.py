@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from microlib._common import Array, EndRun, Guard
+from microlib._common import Array
+from microlib.servoing._devices import EndRun, Guard
 from microlib.servoing._log import add_event, new_row, put
 from microlib.servoing._motion import (
     MOST_RELATIVE_ERROR,

@@ -10,21 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import (
-    Array,
+from microlib._common import Array, Tidy, as_array, positive, scalar, whole
+from microlib.servoing._control import full_rank
+from microlib.servoing._devices import (
     Ending,
     EndRun,
     Guard,
     RunInterrupt,
-    Tidy,
-    as_array,
     check_devices,
     interrupts,
-    positive,
-    scalar,
-    whole,
 )
-from microlib.servoing._control import full_rank
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
 from microlib.servoing._workstation import Controller

@@ -105,7 +105,9 @@ def test_imagej_axes_can_have_their_own_units(tmp_path: Path, zunit: str, step) 
 @pytest.mark.parametrize(
     ("step", "unit", "spacing", "used", "which"),
     [
-        (0.01, None, 10.0, 10.0, None),  # of a microscope that counts in mm
+        (0.01, None, 10.0, 10.0, "latter"),  # of a microscope that counts in mm
+        (0.01, "reference frame", 10.0, 10.0, "latter"),
+        (10.0, None, 10.0, 10.0, None),
         (0.01, "mm", 10.0, 10.0, None),
         (10.3, "µm", 10.0, 10.3, None),  # as measured
         (7.0, "µm", 10.0, 7.0, "former"),
@@ -114,7 +116,7 @@ def test_imagej_axes_can_have_their_own_units(tmp_path: Path, zunit: str, step) 
         (7.0, None, None, None, None),  # in whatever unit
     ],
 )
-def test_ome_positions_without_a_unit_are_ignored(
+def test_ome_positions_without_a_unit_are_not_used_and_disagreement_is_noted(
     tmp_path: Path, step: float, unit: str | None, spacing: float | None, used, which
 ) -> None:
     plane: dict = {"PositionZ": [5 + step * k for k in range(3)]}

@@ -8,7 +8,7 @@ from threading import Event
 
 import pytest
 
-from microlib._common._devices import POLL, DeviceError, EndRun, Guard, interrupts
+from microlib.servoing._devices import POLL, DeviceError, EndRun, Guard, interrupts
 
 
 class Clock:
