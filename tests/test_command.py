@@ -6,12 +6,9 @@ import csv
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from argparse import Namespace
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -31,8 +28,8 @@ from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_from_outline
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
+from tests.io.test_files import read_ply
 from tests.laws import unlike
-from tests.running import until
 
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ROOT / "data" / "synthetic"
@@ -61,7 +58,7 @@ def is_look(path: Path) -> bool:
 
 
 @pytest.fixture
-def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+def figures(monkeypatch):
     """Return the figures that are saved."""
     seen: list[Figure] = []
     save = Figure.savefig
@@ -75,44 +72,35 @@ def hold_alike(found: object, wanted: object) -> None:
     assert not [*unlike(wanted, found, within=1e-7)]
 
 
-def overwritten(line: str, out: Path, file: Path, capsys: Capture) -> str:
-    """Run a task where an output exists, which is kept without --overwrite; return the output."""
-    file.parent.mkdir(exist_ok=True)
-    file.write_text("mine")
-    begin = time.process_time()
-    assert status(line, out, "") == 2
-    assert time.process_time() - begin < 1  # before the work
-    assert f"{file} exists already" in capsys.readouterr().err
-    assert file.read_text() == "mine"
-    assert status(line, out, "--overwrite") == 0
-    assert file.read_bytes() != b"mine"
-    return capsys.readouterr().out
-
-
-def test_depth_writes_heights_with_their_scale(tmp_path: Path, capsys: Capture) -> None:
-    printed = overwritten(STACK, tmp_path / "out", tmp_path / "out" / "look.png", capsys)
-    assert "spacing 25 µm (given)" in printed
-    truth = tifffile.imread(INPUTS / "height_um.tif") + 50  # whose first frame is at -50 µm
-    off = np.abs(tifffile.imread(tmp_path / "out" / "height.ome.tif") - truth)
-    assert np.nanquantile(off, 0.95) < 5  # a fifth of the spacing, as in the guide
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["pixel_size"] == 3.9
-    assert is_look(tmp_path / "out" / "look.png")
-    # A scale in the metadata is not asked for.
-    sharp = tifffile.imread(tmp_path / "out" / "all_in_focus.ome.tif")
-    metadata = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 7.0}
-    tifffile.imwrite(tmp_path / "own.ome.tif", np.stack([sharp] * 3), metadata=metadata)
-    assert status(f"depth {tmp_path / 'own.ome.tif'} --reduce 2", tmp_path / "own") == 0
-    printed = capsys.readouterr().out
-    assert "spacing 7 µm (the file)" in printed
-    assert "pixel_size 2 µm/px (the file)" in printed
-    assert json.loads((tmp_path / "own" / "summary.json").read_text())["pixel_size"] == 4
-    with tifffile.TiffFile(tmp_path / "own" / "height.ome.tif") as file:
-        assert 'PhysicalSizeX="4.0"' in file.ome_metadata
+@pytest.mark.parametrize(
+    ("line", "out", "file"),
+    [
+        (STACK, "out", "out/look.png"),
+        (GRID, "out", "out/camera.csv"),
+        (f"track frames.tif {BOX} --rate 33 --pixel-size 6.23", "track.csv", "track.csv"),
+        (OUTLINE, "out.csv", "out_look.png"),
+    ],
+    ids=["depth", "calibrate", "track", "modulus"],
+)
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+def test_existing_output_is_kept_without_overwrite(line, out, file, tmp_path, capsys):
+    path = tmp_path / file
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("mine")
+    assert status(line, tmp_path / out, "") == 2
+    printed = capsys.readouterr()
+    assert f"{path} exists already" in printed.err
+    assert not printed.out  # it was found before the work
+    assert path.read_text() == "mine"
+    assert status(line, tmp_path / out, "--overwrite") == 0
+    assert path.read_bytes() != b"mine"
+    (look,) = path.parent.glob("*look.png")
+    assert is_look(look)
 
 
 def test_mesh_or_picture_that_fails_is_reported_and_the_rest_is_written(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, capsys, monkeypatch
+):
     """A mesh needs a height; the mesh of an earlier run is removed."""
 
     def fail(result: FocusResult) -> None:
@@ -132,23 +120,6 @@ def test_mesh_or_picture_that_fails_is_reported_and_the_rest_is_written(
     assert (tmp_path / "summary.json").exists()
 
 
-def test_mesh_uses_the_full_range_of_grey_levels(tmp_path: Path) -> None:
-    levels = mixed_texture((48, 64), np.random.default_rng(0)).astype(np.float32)
-    frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 3)) for k in range(7)]
-    tifffile.imwrite(tmp_path / "stack.tif", np.float32(1e-4) * np.stack(frames))
-    line = f"depth {tmp_path / 'stack.tif'} --spacing 10 --pixel-size 1"
-    assert status(line, tmp_path / "out") == 0
-    assert np.ptp(vertices(tmp_path / "out" / "surface.ply")["rgb"]) > 200
-
-
-def vertices(path: Path) -> np.ndarray:
-    raw = path.read_bytes()
-    count = int(re.search(rb"element vertex (\d+)", raw)[1])
-    kind = [("xyz", "<f4", 3), ("rgb", "u1", 3)]
-    begin = raw.index(b"end_header\n") + len(b"end_header\n")
-    return np.frombuffer(raw[begin:], kind, count)
-
-
 REGION = {"region": (9, 5, 60, 44)}
 
 
@@ -162,15 +133,18 @@ REGION = {"region": (9, 5, 60, 44)}
         ("--region 9 5 60 44 --workers 2", REGION, 1.5),
     ],
 )  # fmt: skip
-def test_depth_writes_what_the_library_returns(
-    line: str, options: dict, size: float, tmp_path: Path, figures: list[Figure]
-) -> None:
+def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, capsys, figures):
     """The options replace the spacing and the pixel size in the file."""
     levels = mixed_texture((70, 90), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 2.6)) for k in range(7)]
     sizes = {"PhysicalSizeX": 1.5, "PhysicalSizeY": 1.5, "PhysicalSizeZ": 4.0}
     tifffile.imwrite(tmp_path / "z.ome.tif", np.stack(frames), metadata={"axes": "ZYX", **sizes})
     assert status(f"depth {tmp_path / 'z.ome.tif'} {line}", tmp_path / "out", "") == 0
+    printed = capsys.readouterr().out
+    for name, scale in (("spacing", "4 µm"), ("pixel_size", "1.5 µm/px")):
+        given = f"--{name.replace('_', '-')}" in line
+        assert f"{name} {scale} (the file)" in printed or given
+        assert f"{name} {scale}" not in printed or not given
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}
     found = depth_from_focus(np.stack(frames), **options)
@@ -185,15 +159,16 @@ def test_depth_writes_what_the_library_returns(
             hold_alike(file.asarray(), values)
             assert f'PhysicalSizeX="{size}"' in file.ome_metadata
             assert f'Name="{what}"' in file.ome_metadata
-    printed = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     spacing = options.get("spacing", 4.0)
-    hold_alike(printed, found.to_dict() | {"spacing": spacing, "pixel_size": size})
+    hold_alike(summary, found.to_dict() | {"spacing": spacing, "pixel_size": size})
     sharp = (found.all_in_focus - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
     grey = (255 * sharp).astype(np.uint8)
     io.write_ply(tmp_path / "own.ply", found.depth, pixel_size=size, image=grey)
-    one, other = vertices(tmp_path / "out" / "surface.ply"), vertices(tmp_path / "own.ply")
-    np.testing.assert_allclose(one["xyz"], other["xyz"], rtol=1e-6, atol=1e-6)
-    assert np.abs(one["rgb"].astype(int) - other["rgb"]).max() <= 1  # a level by rounding
+    mesh, own = (read_ply(tmp_path / name) for name in ("out/surface.ply", "own.ply"))
+    np.testing.assert_allclose(mesh["vertices"], own["vertices"], rtol=1e-6, atol=1e-6)
+    # A grey level by rounding.
+    assert np.abs(mesh["colors"].astype(int) - own["colors"]).max() <= 1
     (figure,) = figures
     hold_alike(figure.axes[1].images[0].get_array().filled(np.nan), found.depth)
     (bar,) = figure.axes[1].artists
@@ -201,21 +176,7 @@ def test_depth_writes_what_the_library_returns(
     assert bar.txt_label.get_text() == f"{size * length:g} µm"
 
 
-def test_calibrate_finds_the_true_parameters(tmp_path: Path, capsys: Capture) -> None:
-    printed = overwritten(GRID, tmp_path, tmp_path / "camera.csv", capsys)
-    assert "pitch 280 µm (given)" in printed
-    assert "circles.png: circles, square lattice" in printed
-    camera = pd.read_csv(tmp_path / "camera.csv", index_col="parameter")
-    truth = {"magnification": 1.5892988, "alpha": 0.03, "beta": -0.02, "gamma": 0.0}
-    for name, value in truth.items():
-        off = abs(camera.loc[name, "estimate"] - value)
-        assert off < 4 * camera.loc[name, "sigma"], name
-    assert len(pd.read_csv(tmp_path / "points.csv")) == 149
-    assert json.loads((tmp_path / "camera.json").read_text())["micro_manager"]["PixelSizeUm"]
-    assert is_look(tmp_path / "look.png")
-
-
-def test_camera_matrix_and_scale_need_no_cell_size(tmp_path: Path, capsys: Capture) -> None:
+def test_camera_matrix_and_scale_need_no_cell_size(tmp_path, capsys):
     line = "calibrate circles.png --pitch 280"
     assert status(f"{line} --focal-length 126150", tmp_path / "no") == 2
     assert "give --cell µm" in capsys.readouterr().err
@@ -252,9 +213,7 @@ def board(tilt: float, fields: tuple[int, int] = (9, 7)) -> np.ndarray:
             {"focal_length": 120000.0}),
     ],
 )  # fmt: skip
-def test_calibrate_writes_what_the_library_returns(
-    line: str, given: dict, tmp_path: Path, capsys: Capture, figures: list[Figure]
-) -> None:
+def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys, figures):
     """The source is a quoted pattern beside a name with brackets."""
     photos = [tmp_path / f"view_{k}.png" for k in range(3)]
     images = [board(tilt) for tilt in (0.0, 0.5, 1.0)]
@@ -287,7 +246,7 @@ def test_calibrate_writes_what_the_library_returns(
         assert "px rms" in ax.get_title()
 
 
-def test_calibrate_leaves_out_photographs_that_disagree(tmp_path: Path, capsys: Capture) -> None:
+def test_calibrate_leaves_out_photographs_that_disagree(tmp_path, capsys):
     """One photograph has another size and one another aspect ratio."""
     flat = np.pad(np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((40, 40))), 60)
     camera, images = np.array([[900, 0, 239.5], [0, 900, 199.5], [0, 0, 1]]), {}
@@ -309,7 +268,7 @@ def test_calibrate_leaves_out_photographs_that_disagree(tmp_path: Path, capsys: 
     assert str(calibrate(found, pitch=100.0, pixel_size=5.0)) in printed.out
 
 
-def test_advice_depends_on_the_result() -> None:
+def test_advice_depends_on_the_result():
     """A small grid, a lack of fit and undetermined parameters, each alone."""
     notes: list[str] = []
     a = Namespace(note=notes.append)
@@ -332,7 +291,7 @@ def test_advice_depends_on_the_result() -> None:
     assert advice(32.0, True, 1.0, ("alpha", "f")).startswith("alpha, f: undetermined; give --f")
 
 
-def test_calibrate_prints_advice(tmp_path: Path, capsys: Capture) -> None:
+def test_calibrate_prints_advice(tmp_path, capsys):
     image = np.full((1500, 2000), 230, np.uint8)
     image[100:500, 200:680] = board(0.0)
     cv2.imwrite(str(tmp_path / "small.png"), image)
@@ -341,18 +300,6 @@ def test_calibrate_prints_advice(tmp_path: Path, capsys: Capture) -> None:
     printed = capsys.readouterr().err
     assert "less than 5 % of the image" in printed
     assert "give --focal-length" in printed or "reaches zero" in printed
-
-
-def test_track_follows_the_true_path(tmp_path: Path, capsys: Capture) -> None:
-    line = f"track frames.tif {BOX} --rate 33 --pixel-size 6.23"
-    printed = overwritten(line, tmp_path / "track.csv", tmp_path / "track.csv", capsys)
-    assert "lost in 0 of 40 frames" in printed
-    table, truth = pd.read_csv(tmp_path / "track.csv"), pd.read_csv(INPUTS / "frames_path.csv")
-    way = table[["center_x", "center_y"]].to_numpy()
-    assert np.abs(way - truth[["x_px", "y_px"]].to_numpy()).max() < 0.1
-    assert table["x_um"].to_numpy() == pytest.approx(6.23 * (way[:, 0] - way[0, 0]), abs=1e-6)
-    assert table["time_s"].iloc[-1] == pytest.approx(39 / 33)
-    assert is_look(tmp_path / "track_look.png")
 
 
 @pytest.mark.parametrize(
@@ -364,9 +311,7 @@ def test_track_follows_the_true_path(tmp_path: Path, capsys: Capture) -> None:
             {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
 )  # fmt: skip
-def test_track_writes_what_the_library_returns(
-    line: str, options: dict, tmp_path: Path, capsys: Capture, figures: list[Figure]
-) -> None:
+def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, figures):
     """A part that is lost in one frame, in 16 bits; the same run again gives the same table."""
     way = [(60 + 2.5 * k, 60 - k) for k in range(6)]
     frames = np.stack(texture_sequence(way, np.random.default_rng(1))).astype(np.uint16) * 200
@@ -410,34 +355,20 @@ def test_track_writes_what_the_library_returns(
     assert not film.read()[0]
 
 
-def write_film(path: Path, count: int, share: float = 1.0) -> None:
-    """Write a film of a moving texture, truncated after a share of its bytes."""
-    way = [(60 + 2.5 * k, 60) for k in range(count)]
+def test_truncated_film_keeps_the_rows_before_its_end(tmp_path, capsys):
+    way = [(60 + 2.5 * k, 60) for k in range(30)]
     frames = texture_sequence(way, np.random.default_rng(0))
+    film = tmp_path / "cut.avi"
     size = frames[0].shape[::-1]
-    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, size, False)
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, size, False)
     for frame in frames:
-        film.write(np.clip(frame, 0, 255).astype(np.uint8))
-    film.release()
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-
-
-@pytest.mark.parametrize("task", ["depth", "track"])
-def test_truncated_film_is_an_error_and_track_keeps_its_rows(
-    tmp_path: Path, capsys: Capture, task: str
-) -> None:
-    write_film(tmp_path / "cut.avi", 30, share=0.8)
-    line = {"depth": "--spacing 5 --pixel-size 2", "track": "--box 60 60 49 49"}[task]
-    out = tmp_path / ("out" if task == "depth" else "out.csv")
-    found = status(f"{task} {tmp_path / 'cut.avi'} {line}", out)
-    assert found == {"depth": 2, "track": 3}[task]
+        writer.write(np.clip(frame, 0, 255).astype(np.uint8))
+    writer.release()
+    film.write_bytes(film.read_bytes()[: int(0.8 * film.stat().st_size)])
+    out = tmp_path / "out.csv"
+    assert status(f"track {film} --box 60 60 49 49", out) == 3
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1
-    if task == "depth":
-        assert "its header has 30 frames" in printed
-        assert not out.exists()
-        return
     count = int(re.search(r"keeps the (\d+) rows so far", printed)[1])
     assert 10 < count < 30
     way = pd.read_csv(out)["center_x"]
@@ -445,29 +376,7 @@ def test_truncated_film_is_an_error_and_track_keeps_its_rows(
     assert way.diff().dropna().to_numpy() == pytest.approx(2.5, abs=0.2)
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_stopped_track_keeps_its_rows(tmp_path: Path, end: signal.Signals) -> None:
-    out = tmp_path / "track.csv"
-    tifffile.imwrite(
-        tmp_path / "long.tif", np.tile(tifffile.imread(INPUTS / "frames.tif"), (40, 1, 1))
-    )
-    line = f"track {tmp_path / 'long.tif'} {BOX} --quiet --no-look -o {out}"
-    # Whoever runs the tests in the background has Ctrl-C ignored.
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "from microlib._command import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, *line.split()]
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, encoding="utf-8") as process:
-        until(lambda: out.exists() and out.read_text().count("\n") >= 6)
-        process.send_signal(end)
-        printed = process.communicate()[1]
-    rows = pd.read_csv(out)
-    assert 5 <= len(rows) < 1600
-    if end == signal.SIGINT:
-        assert process.returncode == 130
-        assert printed == f"microlib track: stopped; {out} keeps the {len(rows)} rows so far\n"
-
-
-def test_row_written_during_ctrl_c_is_counted(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_row_written_during_ctrl_c_is_counted(tmp_path, monkeypatch, capsys):
     class Stopped(csv.DictWriter):
         def writerow(self, row: dict) -> None:
             super().writerow(row)
@@ -482,7 +391,7 @@ def test_row_written_during_ctrl_c_is_counted(tmp_path: Path, monkeypatch, capsy
     assert f"{out} keeps the 8 rows so far" in capsys.readouterr().err
 
 
-def test_each_row_is_written_before_the_next_frame(tmp_path: Path, monkeypatch) -> None:
+def test_each_row_is_written_before_the_next_frame(tmp_path, monkeypatch):
     out, lines, each = tmp_path / "track.csv", [], tracking.track_each
 
     def watched(*args, **options):
@@ -495,7 +404,7 @@ def test_each_row_is_written_before_the_next_frame(tmp_path: Path, monkeypatch) 
     assert lines == [*range(2, len(lines) + 2)]
 
 
-def test_lost_part_gives_exit_status_4(tmp_path: Path, capsys: Capture) -> None:
+def test_lost_part_gives_exit_status_4(tmp_path, capsys):
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 255, (9, 100, 120)).astype(np.uint8)
     frames[:2] = cv2.GaussianBlur(frames[0], (0, 0), 2)
@@ -507,16 +416,11 @@ def test_lost_part_gives_exit_status_4(tmp_path: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_modulus_interval_contains_the_true_value(
-    tmp_path: Path, capsys: Capture, figures: list[Figure]
-) -> None:
-    line = f"{OUTLINE} --thickness-std 0.2um"
-    printed = overwritten(line, tmp_path / "out.csv", tmp_path / "out_look.png", capsys)
+def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
+    """Of either rim."""
+    assert status(f"{OUTLINE} --thickness-std 0.2um", tmp_path / "out.csv", "") == 0
+    printed = capsys.readouterr().out
     found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
-    assert found["modulus_low95_MPa"] < 1.3 < found["modulus_high95_MPa"]
-    assert found["dimple_radius"] == pytest.approx(250, abs=3.875)  # a pixel
-    assert is_look(tmp_path / "out_look.png")
-    # The same from the library's calls, of either rim.
     x, y = pd.read_csv(INPUTS / "outline.csv").sort_values("x").to_numpy().T
     measured = dimple_from_outline(x, y, pixel_size=3.875)
     points, title = {"outline": (x, y - y.min())}, figures[0].axes[0].get_title()
@@ -564,9 +468,7 @@ POINTS = pd.read_csv(INPUTS / "outline.csv")
         (POINTS.rename(columns={"x": "x_um", "y": "y_um"}), "", 2, "leave out --pixel-size"),
     ],
 )
-def test_direction_and_unit_of_an_outline_table(
-    table: pd.DataFrame, options: str, code: int, message: str, tmp_path: Path, capsys: Capture
-) -> None:
+def test_direction_and_unit_of_an_outline_table(table, options, code, message, tmp_path, capsys):
     file, out = tmp_path / "points.csv", tmp_path / "out.csv"
     table.to_csv(file, index=False)
     line = OUTLINE.replace("outline.csv", str(file))
@@ -578,7 +480,7 @@ def test_direction_and_unit_of_an_outline_table(
 
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
+def test_disagreeing_rims_give_a_note(tmp_path, capsys):
     """The left flank is stretched by a half."""
     file = tmp_path / "points.csv"
     middle = POINTS["x"].mean()
@@ -593,50 +495,37 @@ def test_disagreeing_rims_give_a_note(tmp_path: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
+        # A scale that is missing, has another unit, or is out of range.
         ("depth focal_stack.tif --spacing 25", "give --pixel-size µm"),
         ("depth focal_stack.tif", "give --spacing µm, --pixel-size µm"),
-        ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
-        (
-            "depth focal_stack.tif --spacing 0 --pixel-size 1",
-            "positions must rise or fall strictly",
-        ),
-        (
-            "depth focal_stack.tif --spacing 5kg --pixel-size 1",
-            "--spacing: invalid number in µm value: '5kg'",
-        ),
-        ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
+        ("calibrate circles.png", "microlib calibrate: no scale is in the file: give --pitch µm"),
+        ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
+        (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
+        (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
+        ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
+        (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
+        # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
         (f"{STACK} --reduce 0", "--reduce must"),
-        ("calibrate embryo.png --marks charuco --cell 9.9 --pitch 280", "microlib calibrate: "),
-        ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
-        (
-            "calibrate circles.png",
-            "microlib calibrate: no scale is in the file: give --pitch µm",
-        ),
-        (f"{GRID} -o c.json", "microlib calibrate: --out must be a folder, got c.json"),
-        (f"{STACK} -o c.CSV", "microlib depth: --out must be a folder, got c.CSV"),
-        ("track frames.tif --box 0 0 400 40", "microlib track: --box must"),
-        (
-            "track frames.tif --box 0 0 5 40",
-            "microlib track: --box width must be at least 6, got 5",
-        ),
-        ("track frames.tif --box -3 0 40 40", "track: --box x must be zero or positive"),
+        ("track frames.tif --box 0 0 5 40", "track: --box width must be at least 6, got 5"),
         (f"track frames.tif {BOX} --rate 0", "--rate must"),
-        (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),
+        (f"track frames.tif {BOX} --channel 2", "--channel must be left out for frames without"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
-        ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
-        (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
+        # A source that is not there, or shows something else.
+        ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
+        ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
+        ("calibrate embryo.png --marks charuco --cell 9.9 --pitch 280", "microlib calibrate: "),
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
-        (f"{OUTLINE} --thickness -3", "--thickness must be positive"),
-        (f"{OUTLINE} --poisson 0.7", "--poisson-ratio must"),
-        (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
+        (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
+        # Outputs.
+        (f"{STACK} -o c.CSV", "microlib depth: --out must be a folder, got c.CSV"),
+        (f"track frames.tif {BOX} -o t.xlsx", "must be a table that ends in .csv, got t.xlsx"),
+        (f"{OUTLINE} -o .", "must be a table that ends in .csv, got ."),
         (f"{GRID} -o /dev/null/x", "/dev/null/x cannot be written"),
         (f"track frames.tif {BOX} -o /dev/null/t.csv", "/dev/null/t.csv cannot be written: Not a"),
     ],
 )
-def test_error_has_one_line_and_leaves_no_file(
-    line: str, message: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     line, _, out = line.partition(" -o ")
     table = line.split()[0] in ("track", "modulus")
@@ -650,17 +539,39 @@ def test_error_has_one_line_and_leaves_no_file(
 @pytest.mark.parametrize(
     ("name", "value"), [("force", 1e-5), ("pixel_size", 50800.0), ("pixel_size", 0.006)]
 )
-def test_unusual_scale_gives_a_note(name: str, value: float) -> None:
+def test_unusual_scale_gives_a_note(name, value):
     notes: list[str] = []
     a = Namespace(**{name: value}, spacing=-25.0, say=lambda *_: None, note=notes.append)
     assert resolve_scales(a, "spacing", name) == {"spacing": -25.0, name: value}
     assert notes[0].startswith(f"--{name.replace('_', '-')} {value:g} is unusual")
 
 
-@pytest.mark.parametrize("text", ["10", "10uN", "1e4 nN", "0,01mN", "10e-6N"])
-def test_number_can_have_a_unit(text: str) -> None:
-    assert _quantity("µN")(text) == pytest.approx(10)
-    assert _quantity("µm/px")(text.replace("N", "m/px")) == pytest.approx(10)
+@pytest.mark.parametrize(
+    ("text", "unit", "number"),
+    [
+        ("10", "µN", 10.0), ("10uN", "µN", 10.0), ("1e4 nN", "µN", 10.0), ("10e-6N", "µN", 10.0),
+        ("0,01mm/px", "µm/px", 10.0), ("12cm", "µm", 120000.0),
+        ("0,25", "µm", 0.25), ("12,5mm", "µm", 12500.0), ("0,125", "µm", 0.125),
+        ("1,500.0", "µm", 1500.0), ("1,234,567", "µm", 1234567.0), ("-1,25", "µm", -1.25),
+        ("1.500", "µm", 1.5),
+    ],
+)  # fmt: skip
+def test_number_can_have_a_unit_and_a_comma(text, unit, number):
+    assert _quantity(unit)(text) == pytest.approx(number)
+
+
+@pytest.mark.parametrize(
+    ("text", "readings"),
+    [
+        ("126,000", "126,000 can be 126000 or 126.000"), ("1,500", "1,500 can be 1500 or 1.500"),
+        ("-1,500", ""), ("126.000,5", ""), ("1,23,456", ""),
+    ],
+)  # fmt: skip
+def test_ambiguous_comma_is_rejected(text, readings, capsys):
+    assert status(f"calibrate circles.png --pitch 1 --cell 1 --focal-length={text}", "out") == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert readings in printed
 
 
 def full(*given: object, **options: object) -> None:
@@ -684,14 +595,8 @@ def stopped(*given: object, **options: object) -> None:
 )  # fmt: skip
 @pytest.mark.parametrize("how", [full, stopped])
 def test_written_files_stay_when_a_later_file_fails(
-    line: str,
-    fails: Callable,
-    kept: list,
-    how: Callable,
-    tmp_path: Path,
-    capsys: Capture,
-    monkeypatch,
-) -> None:
+    line, fails, kept, how, tmp_path, capsys, monkeypatch
+):
     owner = {"plot": FocusResult, "plot_track": tracking, "polylines": cv2}.get(fails.__name__, io)
     monkeypatch.setattr(owner, fails.__name__, how)
     folder = tmp_path / "new"
@@ -711,7 +616,7 @@ def test_written_files_stay_when_a_later_file_fails(
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
 
-def test_help_lists_the_tasks_and_shows_an_example(capsys: Capture) -> None:
+def test_help_lists_the_tasks_and_shows_an_example(capsys):
     assert main([]) == 0
     overview = capsys.readouterr().out
     for task in ("depth", "calibrate", "track", "modulus"):
@@ -730,7 +635,7 @@ def test_help_lists_the_tasks_and_shows_an_example(capsys: Capture) -> None:
         "import microlib; help(microlib)",
     ],
 )
-def test_missing_opencv_error_names_the_package(tmp_path: Path, code: str) -> None:
+def test_missing_opencv_error_names_the_package(tmp_path, code):
     (tmp_path / "cv2.py").write_text("raise ModuleNotFoundError('No module', name='cv2')")
     done = subprocess.run(
         [sys.executable, "-c", code, *STACK.split(), "-o", str(tmp_path / "out")],
@@ -747,9 +652,7 @@ def test_missing_opencv_error_names_the_package(tmp_path: Path, code: str) -> No
         assert done.stderr == f"{last}\n"
 
 
-def test_full_disk_is_reported_and_old_pictures_are_removed(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_full_disk_is_reported_and_old_pictures_are_removed(tmp_path, capsys):
     (tmp_path / "full.csv").symlink_to("/dev/full")
     assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "full.csv") == 2
     assert "full.csv: No space left" in capsys.readouterr().err
@@ -763,7 +666,7 @@ def test_full_disk_is_reported_and_old_pictures_are_removed(
 # --- The user's files, numbers and terminals ------------------------------------------------------
 
 
-def test_output_never_replaces_an_input(tmp_path: Path, capsys: Capture) -> None:
+def test_output_never_replaces_an_input(tmp_path, capsys):
     """Also behind a link, and with --overwrite."""
     folder = tmp_path / "scan"
     folder.mkdir()
@@ -790,9 +693,7 @@ def test_output_never_replaces_an_input(tmp_path: Path, capsys: Capture) -> None
 
 
 @pytest.mark.parametrize("task", ["depth", "calibrate", "track"])
-def test_results_in_the_input_folder_are_ignored(
-    task: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_in_the_input_folder_are_ignored(task, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if task == "calibrate":
         (tmp_path / "grid.png").write_bytes((INPUTS / "circles.png").read_bytes())
@@ -817,7 +718,7 @@ def test_results_in_the_input_folder_are_ignored(
         assert (tmp_path / name).read_bytes() == content
 
 
-def test_channel_and_time_select_a_stack(tmp_path: Path, capsys: Capture) -> None:
+def test_channel_and_time_select_a_stack(tmp_path, capsys):
     stack = tifffile.imread(INPUTS / "focal_stack.tif")
     many = np.stack([np.full_like(stack, 7), stack], axis=1)[None]
     tifffile.imwrite(
@@ -831,34 +732,10 @@ def test_channel_and_time_select_a_stack(tmp_path: Path, capsys: Capture) -> Non
     for name in ("height", "uncertainty"):
         one, other = (tifffile.imread(tmp_path / d / f"{name}.ome.tif") for d in ("out", "plain"))
         np.testing.assert_allclose(one, other, rtol=1e-5)
-    assert status(f"track frames.tif {BOX} --channel 2", tmp_path / "t.csv") == 2
-    assert "--channel must be left out for frames without that axis" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("text", "number"),
-    [
-        ("0,25", 0.25), ("12,5", 12.5), ("1,5", 1.5), ("0,125", 0.125), ("1,500.0", 1500.0),
-        ("1,234,567", 1234567.0), ("-1,25", -1.25), ("1.500", 1.5), ("126,000", None),
-        ("1,500", None), ("-1,500", None), ("126.000,5", None), ("1,23,456", None),
-    ],
-)  # fmt: skip
-def test_ambiguous_comma_is_rejected(text: str, number: float | None, capsys: Capture) -> None:
-    line = ["calibrate", "a.png", "--pitch", "1", "--cell", "1", "-o", "out", "--quiet"]
-    if number is not None:
-        assert _quantity("µm")(text) == number
-        assert _quantity("µm")(f"{text}mm") == pytest.approx(1000 * number)
-        return
-    with pytest.raises(SystemExit, match="2"):
-        main([*line, f"--focal-length={text}"])
-    printed = capsys.readouterr().err
-    assert printed.count("\n") == 1
-    if text in ("126,000", "1,500"):
-        assert f"{text} can be {text.replace(',', '')} or {text.replace(',', '.')}" in printed
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
-def test_letters_that_a_terminal_lacks_are_replaced(tmp_path: Path, encoding: str) -> None:
+def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, encoding):
     """The name has Cyrillic letters and the output µ and ±."""
     (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
     line = [
@@ -884,7 +761,7 @@ def run_command(line: list, *options: str, **env: str) -> subprocess.CompletedPr
     )
 
 
-def test_commands_run_without_docstrings(tmp_path: Path) -> None:
+def test_commands_run_without_docstrings(tmp_path):
     done = run_command([*OUTLINE.split(), "--no-look", "-o", tmp_path / "a.csv"], "-OO")
     assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
     assert pd.read_csv(tmp_path / "a.csv", index_col=0).loc["modulus_MPa", "value"] > 0
@@ -902,7 +779,7 @@ image.cmap: jet
 """
 
 
-def test_user_style_does_not_change_the_picture(tmp_path: Path) -> None:
+def test_user_style_does_not_change_the_picture(tmp_path):
     looks = []
     for name, style in (("plain", ""), ("own", MATPLOTLIBRC)):
         (tmp_path / f"{name}.rc").write_text(style)
@@ -915,9 +792,7 @@ def test_user_style_does_not_change_the_picture(tmp_path: Path) -> None:
     assert np.abs(looks[1] - looks[0]).mean() < 1  # of 255; another origin gives 20
 
 
-def test_error_of_any_kind_has_one_line(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_error_of_any_kind_has_one_line(tmp_path, capsys, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise cv2.error("OpenCV(5.0.0)\nassertion\nfailed")
 
@@ -926,7 +801,7 @@ def test_error_of_any_kind_has_one_line(
     assert capsys.readouterr().err == "microlib depth: error: OpenCV(5.0.0) assertion failed\n"
 
 
-def test_film_that_cannot_be_written_gives_a_note(tmp_path: Path, capsys: Capture) -> None:
+def test_film_that_cannot_be_written_gives_a_note(tmp_path, capsys):
     wide = np.random.default_rng(0).integers(0, 255, (2, 64, 9000)).astype(np.uint8)
     tifffile.imwrite(tmp_path / "wide.tif", wide)
     line = f"track {tmp_path}/wide.tif --box 20 8 40 40 --video"
@@ -940,14 +815,9 @@ def test_film_that_cannot_be_written_gives_a_note(tmp_path: Path, capsys: Captur
         assert "t_look.mp4" not in printed.out
 
 
-def test_output_name_can_be_a_dot_or_begin_with_a_tilde(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_output_name_can_be_a_dot_or_begin_with_a_tilde(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert status(STACK, ".") == 0
     assert status(STACK, "~out") == 0
     assert {"height.ome.tif", "~out"} <= {file.name for file in tmp_path.iterdir()}
-    for line in (f"track frames.tif {BOX}", OUTLINE):
-        assert status(line, ".") == 2
-        assert "--out must be a table that ends in .csv, got ." in capsys.readouterr().err

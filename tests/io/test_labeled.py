@@ -25,7 +25,7 @@ def labeled(unit: str = "µm", per_um: float = 1.0):
 
 
 @pytest.mark.parametrize(("unit", "per_um"), [("µm", 1.0), ("nm", 1e3), ("mm", 1e-3)])
-def test_coordinates_give_pixel_size_positions_and_origin(unit: str, per_um: float) -> None:
+def test_coordinates_give_pixel_size_positions_and_origin(unit, per_um):
     reader = read_frames(labeled(unit, per_um))
     assert reader.pixel_size == pytest.approx(2.0)
     assert reader.positions == pytest.approx(Z)
@@ -33,7 +33,7 @@ def test_coordinates_give_pixel_size_positions_and_origin(unit: str, per_um: flo
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_depth_has_the_coordinates_and_chunks_of_its_frames(blocks: bool) -> None:
+def test_depth_has_the_coordinates_and_chunks_of_its_frames(blocks):
     frames = labeled()
     if blocks:
         pytest.importorskip("dask")
@@ -51,7 +51,7 @@ def test_depth_has_the_coordinates_and_chunks_of_its_frames(blocks: bool) -> Non
 
 
 @pytest.mark.parametrize("dims", ["yxz", "zxy", "xzy"])
-def test_dimensions_can_be_in_any_order(dims: str) -> None:
+def test_dimensions_can_be_in_any_order(dims):
     frames = labeled()
     reader = read_frames(frames.transpose(*dims))
     assert (reader.pixel_size, reader.origin) == (2.0, (300.0, 100.0))
@@ -59,7 +59,7 @@ def test_dimensions_can_be_in_any_order(dims: str) -> None:
     np.testing.assert_array_equal(np.stack(list(reader)), frames.to_numpy())
 
 
-def test_dimensions_of_dask_arrays_can_be_in_any_order() -> None:
+def test_dimensions_of_dask_arrays_can_be_in_any_order():
     pytest.importorskip("dask")
     frames = labeled().isel(x=slice(64))
     frames = frames.chunk({"y": 64, "x": 64}).transpose("y", "x", "z")
@@ -69,7 +69,7 @@ def test_dimensions_of_dask_arrays_can_be_in_any_order() -> None:
     np.testing.assert_allclose(np.asarray(found.depth), wanted, atol=1e-3)
 
 
-def test_names_of_dimensions_can_be_upper_case() -> None:
+def test_names_of_dimensions_can_be_upper_case():
     frames = labeled()
     with pytest.raises(ValueError, match="three dimensions or more, got y, x"):
         read_frames(frames[0])
@@ -77,7 +77,7 @@ def test_names_of_dimensions_can_be_upper_case() -> None:
     np.testing.assert_array_equal(np.stack(list(read_frames(large))), frames.to_numpy())
 
 
-def test_channel_and_time_select_labeled_frames() -> None:
+def test_channel_and_time_select_labeled_frames():
     frames = labeled()
     many = frames.expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
     many = many.transpose("y", "z", "channel", "x", "time")
@@ -88,14 +88,14 @@ def test_channel_and_time_select_labeled_frames() -> None:
     np.testing.assert_allclose(np.stack(list(reader)), frames.to_numpy() + 1.0, rtol=1e-6)
 
 
-def test_labeled_pixels_that_are_not_square_give_a_warning() -> None:
+def test_labeled_pixels_that_are_not_square_give_a_warning():
     frames = labeled()
     wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
     with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
         assert read_frames(wide).pixel_size is None
 
 
-def test_coordinates_that_number_pixels_are_no_scale() -> None:
+def test_coordinates_that_number_pixels_are_no_scale():
     frames = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
     assert read_frames(frames).pixel_size is None
     assert read_frames(frames.assign_coords(z=("z", Z, {"units": "V"}))).positions is None

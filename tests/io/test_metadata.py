@@ -18,9 +18,7 @@ STACK = np.arange(3 * 8 * 10, dtype=np.uint8).reshape(3, 8, 10)
     ("unit", "micrometers"),
     [("nm", 1e-3), ("µm", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)],
 )
-def test_ome_sizes_are_converted_to_micrometers(
-    tmp_path: Path, unit: str, micrometers: float
-) -> None:
+def test_ome_sizes_are_converted_to_micrometers(tmp_path, unit, micrometers):
     sizes = {f"PhysicalSize{axis}": 2.0 for axis in "XYZ"}
     units = {f"PhysicalSize{axis}Unit": unit for axis in "XYZ"}
     metadata = {"axes": "ZYX", **sizes, **units}
@@ -42,9 +40,7 @@ def test_ome_sizes_are_converted_to_micrometers(
         ("um", -2.5, 0.25, 2.5), ("um", 0, 0.25, None), ("um", "two", 0.25, None),
     ],
 )  # fmt: skip
-def test_imagej_sizes_are_converted_to_micrometers(
-    tmp_path: Path, unit: str, spacing: object, size: float | None, step: float | None
-) -> None:
+def test_imagej_sizes_are_converted_to_micrometers(tmp_path, unit, spacing, size, step):
     about = {"axes": "ZYX", "spacing": spacing, "unit": unit}
     tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, resolution=(4, 4), metadata=about)
     reader = read_frames(tmp_path / "a.tif")
@@ -65,9 +61,7 @@ def test_imagej_sizes_are_converted_to_micrometers(
         ((100, 100), "NONE", None),
     ],
 )
-def test_only_a_resolution_in_centimeters_gives_a_pixel_size(
-    tmp_path: Path, resolution: tuple[int, int], unit: str, size: float | None
-) -> None:
+def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolution, unit, size):
     tifffile.imwrite(
         tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
         resolution=resolution, resolutionunit=unit,
@@ -78,9 +72,7 @@ def test_only_a_resolution_in_centimeters_gives_a_pixel_size(
 
 
 @pytest.mark.parametrize("resolution", [(4000, 4010), (4010, 4000)])
-def test_pixels_that_are_not_square_give_a_warning(
-    tmp_path: Path, resolution: tuple[int, int]
-) -> None:
+def test_pixels_that_are_not_square_give_a_warning(tmp_path, resolution):
     tifffile.imwrite(
         tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
         resolution=resolution, resolutionunit="CENTIMETER",
@@ -92,7 +84,7 @@ def test_pixels_that_are_not_square_give_a_warning(
 @pytest.mark.parametrize(
     ("zunit", "step"), [("um", 2500.0), ("mm", 2.5e6), ("sec", None), ("nm", 2.5)]
 )
-def test_imagej_axes_can_have_their_own_units(tmp_path: Path, zunit: str, step) -> None:
+def test_imagej_axes_can_have_their_own_units(tmp_path, zunit, step):
     about = {"axes": "ZYX", "spacing": 2500.0, "unit": "nm", "yunit": "um", "zunit": zunit}
     tifffile.imwrite(
         tmp_path / "a.tif", STACK, imagej=True, resolution=(1 / 250, 4), metadata=about
@@ -117,8 +109,8 @@ def test_imagej_axes_can_have_their_own_units(tmp_path: Path, zunit: str, step) 
     ],
 )
 def test_ome_positions_without_a_unit_are_not_used_and_disagreement_is_noted(
-    tmp_path: Path, step: float, unit: str | None, spacing: float | None, used, which
-) -> None:
+    tmp_path, step, unit, spacing, used, which
+):
     plane: dict = {"PositionZ": [5 + step * k for k in range(3)]}
     plane |= {"PositionZUnit": [unit] * 3} if unit else {}
     size = {"PhysicalSizeZ": spacing} if spacing else {}
@@ -136,7 +128,7 @@ def test_ome_positions_without_a_unit_are_not_used_and_disagreement_is_noted(
         assert np.diff(positions) == pytest.approx([used] * 2)
 
 
-def test_positions_belong_to_the_selected_channel_and_time(tmp_path: Path) -> None:
+def test_positions_belong_to_the_selected_channel_and_time(tmp_path):
     many = np.zeros((2, 3, 2, 8, 10), np.uint8)  # T, Z, C
     z = [[[[20.0 * t + 5 * c + k] for c in range(2)] for k in (0, 1, 3)] for t in range(2)]
     plane = {"PositionZ": np.ravel(z).tolist(), "PositionZUnit": ["µm"] * 12}
@@ -166,7 +158,7 @@ def written(
         tifffile.tiffcomment(path, text.replace("#", "").encode())
 
 
-def test_positions_follow_the_order_of_planes(tmp_path: Path) -> None:
+def test_positions_follow_the_order_of_planes(tmp_path):
     path = tmp_path / "a.ome.tif"
     written(path, [0.1, 0.2, 0.4])
     np.testing.assert_allclose(read_frames(path).positions, [100, 200, 400])
@@ -177,15 +169,13 @@ def test_positions_follow_the_order_of_planes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("positions", [[0.1, 0.4, 0.2], [0.1, 0.1, 0.2], [0.1, float("nan"), 0.2]])
-def test_positions_that_are_not_monotonic_are_ignored(
-    tmp_path: Path, positions: list[float]
-) -> None:
+def test_positions_that_are_not_monotonic_are_ignored(tmp_path, positions):
     written(tmp_path / "a.ome.tif", positions, size=9.0)
     np.testing.assert_allclose(read_frames(tmp_path / "a.ome.tif").positions, [0, 9, 18])
 
 
 @pytest.mark.parametrize("wrong", ["two", "nan", "-1.0", "0.0"])
-def test_size_that_is_no_length_is_ignored(tmp_path: Path, wrong: str) -> None:
+def test_size_that_is_no_length_is_ignored(tmp_path, wrong):
     path = tmp_path / "a.ome.tif"
     tifffile.imwrite(path, STACK, metadata={"axes": "ZYX", "PhysicalSizeX": 3.25})
     text = ome_text(path)

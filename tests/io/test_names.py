@@ -44,7 +44,7 @@ ORDERS = {
 
 
 @pytest.mark.parametrize("kind", ORDERS)
-def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path: Path, kind: str) -> None:
+def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
     names = ORDERS[kind]
     assert read(write(tmp_path, names)) == list(range(len(names)))
     assert read(f"{tmp_path}/*.png") == list(range(len(names)))
@@ -63,9 +63,7 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path: Path, kind: 
         ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
     ],
 )
-def test_ambiguous_order_is_rejected_with_both_readings(
-    tmp_path: Path, names: list[str], both
-) -> None:
+def test_ambiguous_order_is_rejected_with_both_readings(tmp_path, names, both):
     write(tmp_path, names)
     with pytest.raises(ValueError, match=f"must have one order, .* {both}"):
         read_frames(tmp_path)
@@ -77,13 +75,13 @@ def test_ambiguous_order_is_rejected_with_both_readings(
     ("numbers", "gap"),
     [((1, 2, 3, 5, 6, 7), "f3.png and f5"), ((0, 10, 20, 30, 90, 100), "f30.png and f90")],
 )
-def test_missing_numbers_are_reported(tmp_path: Path, numbers: tuple[int, ...], gap: str) -> None:
+def test_missing_numbers_are_reported(tmp_path, numbers, gap):
     write(tmp_path, [f"f{k}" for k in numbers])
     with pytest.warns(UserWarning, match=f"no frame between {gap}"):
         assert read(tmp_path) == list(range(len(numbers)))
 
 
-def test_frame_in_two_formats_is_rejected(tmp_path: Path) -> None:
+def test_frame_in_two_formats_is_rejected(tmp_path):
     write(tmp_path, ["i1", "i2", "i3"])
     Image.new("L", SHAPE[::-1]).save(tmp_path / "i2.jpg")
     with pytest.raises(ValueError, match=r"one file each, got i2\.jpg and i2\.png"):
@@ -92,7 +90,7 @@ def test_frame_in_two_formats_is_rejected(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("turn", [3, 6])
-def test_changing_exif_orientation_is_ignored(tmp_path: Path, turn: int) -> None:
+def test_changing_exif_orientation_is_ignored(tmp_path, turn):
     """The sensor of orientation flips under a camera that looks down; the pixels do not."""
     ramp = np.tile(np.arange(100, 200, 2, dtype=np.uint8), (40, 1))
     for k in range(4):

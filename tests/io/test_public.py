@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
 
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey, write_height_tiff, write_ply
@@ -59,8 +58,8 @@ def written(height: np.ndarray, pixel_size: float) -> dict:
             values = tiff.asarray()
         grey = np.asarray(read_grey(file))
         write_ply(Path(folder) / "m.ply", height, pixel_size=pixel_size)
-        vertices, faces = read_ply(Path(folder) / "m.ply")
-    return {"size": size, "values": values, "grey": grey, "vertices": vertices, "faces": faces}
+        mesh = read_ply(Path(folder) / "m.ply")
+    return {"size": size, "values": values, "grey": grey, **mesh}
 
 
 HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
@@ -96,9 +95,7 @@ UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0
 
 @pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
-def test_reader_origin_follows_region_and_reduce(
-    region: tuple[int, ...] | None, reduce: int
-) -> None:
+def test_reader_origin_follows_region_and_reduce(region, reduce):
     """The grey level is the place, also of the means of blocks, of a reader and of a depth."""
     for source in (labeled(UNITS), read_frames(labeled(UNITS))):
         reader = read_frames(source, region=region, reduce=reduce)
@@ -110,7 +107,7 @@ def test_reader_origin_follows_region_and_reduce(
         np.testing.assert_allclose(next(iter(reader)), level, rtol=1e-6)
 
 
-def test_depth_origin_follows_region_and_reduce() -> None:
+def test_depth_origin_follows_region_and_reduce():
     """In a shift of the part by whole blocks, the depth is the same one, at another place."""
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
@@ -123,38 +120,9 @@ def test_depth_origin_follows_region_and_reduce() -> None:
     assert np.nanmedian(found.depth) == pytest.approx(28.0, abs=1.0)
 
 
-@pytest.mark.parametrize("scale", [256, 257])
-def test_palette_of_either_scale_becomes_its_colors(tmp_path: Path, scale: int) -> None:
-    """Programs write v · 256 or v · 257 for the 8-bit v; Pillow reads both as v."""
-    levels = np.random.default_rng(1).integers(0, 256, (3, 256))
-    numbers = np.arange(240, dtype=np.uint8).reshape(12, 20)
-    tifffile.imwrite(
-        tmp_path / "p.tif", numbers, photometric="palette",
-        colormap=(levels * scale).astype(np.uint16),
-    )  # fmt: skip
-    read = next(iter(read_frames(tmp_path / "p.tif", color=True)))
-    np.testing.assert_array_equal(read, levels.T[numbers])
-    with Image.open(tmp_path / "p.tif") as picture:
-        np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
-
-
-def test_origin_follows_a_pixel_size_that_is_set_later() -> None:
+def test_origin_follows_a_pixel_size_that_is_set_later():
     stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
     found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
     assert found.origin == (0.0, 0.0)
     # The middle of the first block is half a pixel of the frame beside its first one.
     assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
-
-
-def test_imagej_display_palette_is_ignored(tmp_path: Path) -> None:
-    """ImageJ stores the table by which it shows grey levels, as Fire or Blue, as a palette."""
-    levels = np.random.default_rng(1).integers(0, 256, (3, 12, 20)).astype(np.uint8)
-    table = np.zeros((3, 256), np.uint16)
-    table[2] = 257 * np.arange(256)[::-1]
-    tifffile.imwrite(
-        tmp_path / "p.tif", levels, imagej=True, colormap=table, photometric="palette",
-        metadata={"axes": "ZYX"},
-    )  # fmt: skip
-    with tifffile.TiffFile(tmp_path / "p.tif") as file:
-        assert (file.is_imagej, file.pages[0].photometric.name) == (True, "PALETTE")
-    np.testing.assert_array_equal(np.stack(list(read_frames(tmp_path / "p.tif"))), levels)
