@@ -157,7 +157,7 @@ def calibrated() -> calibration.Calibration:
 def workstation(**options: object) -> servoing.SimulatedWorkstation:
     scene = gripper()
     settings: dict = {
-        "render": lambda feature, focus: scene.frame(feature - scene.home, 0),
+        "render": lambda feature: scene.frame(feature - scene.home, 0),
         "jacobian": np.eye(2) * 0.3, "stage": servoing.Stage(500.0), "home": scene.home,
         "camera": servoing.Camera(0.04), "rng": 0,
     }  # fmt: skip
@@ -252,7 +252,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "servoing.MicroManager": lambda: {"core": core()},
     "servoing.SimulatedWorkstation": lambda: {
-        "render": lambda feature, focus: target(), "jacobian": np.eye(2) * 0.3,
+        "render": lambda feature: target(), "jacobian": np.eye(2) * 0.3,
         "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
         "home": [10.0, 10.0], "drift": [0.1, 0.2],
     },

@@ -206,7 +206,7 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
     target = float(egg.force(np.interp(rng.uniform(18.0, egg.depth(last)), egg.depth(ways), ways)))
     jacobian = turned(rng.uniform(0, 2 * np.pi), 1 / PIXEL_SIZE, bool(rng.random() < 0.5))
     workstation = SimulatedWorkstation(
-        lambda tip, focus: egg.frame(tip),
+        egg.frame,
         jacobian=jacobian,
         home=egg.home,
         stage=Stage(saturation=400.0),

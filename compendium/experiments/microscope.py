@@ -128,7 +128,7 @@ def make_scope(seed: int | None, **options: Any) -> Scope:
         "rng": rng,
     }
     truth = SimulatedWorkstation(
-        lambda feature, focus: scene.frame(feature - scene.home, rng), **(settings | options)
+        lambda feature: scene.frame(feature - scene.home, rng), **(settings | options)
     )
     box = scene.box(WINDOW)
     return Scope(truth, truth, np.array(box[:2]) + (WINDOW - 1) / 2, box)

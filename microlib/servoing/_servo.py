@@ -178,7 +178,7 @@ def servo(
     >>> rng = np.random.default_rng(0)
     >>> scene = gripper_scene(rng, pixel_size=6.23)
     >>> workstation = SimulatedWorkstation(
-    ...     lambda feature, focus: scene.frame(feature - scene.home, rng), home=scene.home,
+    ...     lambda feature: scene.frame(feature - scene.home, rng), home=scene.home,
     ...     jacobian=[[0.0, 0.16], [0.16, 0.0]], stage=Stage(saturation=400.0),
     ...     camera=Camera(interval=0.03, latency=0.02), rng=rng)
     >>> frame, _ = workstation.camera.snap()

@@ -14,25 +14,20 @@ from microlib._common import Array, as_array, generator
 from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import Camera, Stage
 
-#: Given where the feature is (x, y) in px and the position of the focus drive in µm, the frame.
-Render = Callable[[Array, float], ArrayLike]
-
-
-#: Speed of the focus drive, µm/s.
-_FOCUS_SPEED = 10.0
+#: Given where the feature is, (x, y) in px, the frame.
+Render = Callable[[Array], ArrayLike]
 
 
 class SimulatedWorkstation:
-    """A camera over a stage and a focus drive, in a time that passes only when it is waited for.
+    """A camera over a stage, in a time that passes only when it is waited for.
 
     It is to `servo` what `simulate` is to a controller: the loop is not inside it, but steers it
-    through the calls that a real microscope answers. The drives start at zero.
+    through the calls that a real microscope answers. The stage starts at zero.
 
     Parameters
     ----------
     render : callable
-        Given the feature (x, y) in px and the position of the focus drive in µm, returns the grey
-        frame of that moment.
+        Given the feature (x, y) in px, returns the grey frame of that moment.
     jacobian : array_like, shape (2, 2)
         The true px/µm of the stage's axes, turned and mirrored as the camera is mounted.
     stage : Stage
@@ -51,10 +46,10 @@ class SimulatedWorkstation:
     ----------
     camera : object with ``snap()``
         Returns the frame and the time of its exposure.
-    stage, focus : objects with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
-        The two axes of the stage and the one of the focus drive, µm; the latter runs at 10 µm/s.
+    stage : object with ``position()``, ``move_to(position)``, ``moving()``, ``stop()``
+        The two axes of the stage, µm.
     clock : object with ``now()``, ``sleep(seconds)``
-        The virtual time; sleeping moves the drives on.
+        The virtual time; sleeping moves the stage on.
     feature : ndarray, shape (2,)
         Where the feature truly is now, px.
 
@@ -68,7 +63,7 @@ class SimulatedWorkstation:
     >>> import numpy as np
     >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
     >>> workstation = SimulatedWorkstation(
-    ...     lambda feature, focus: np.zeros((9, 9)), jacobian=np.eye(2), home=(4, 4),
+    ...     lambda feature: np.zeros((9, 9)), jacobian=np.eye(2), home=(4, 4),
     ...     stage=Stage(saturation=100.0), camera=Camera(interval=0.03, latency=0.01), rng=0)
     >>> workstation.stage.move_to(np.array([2.0, -1.0]))
     >>> workstation.clock.sleep(0.01)
@@ -90,9 +85,8 @@ class SimulatedWorkstation:
         self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
-        self.stage = _Drive(stage, 2)
-        self.focus = _Drive(Stage(saturation=_FOCUS_SPEED), 1)
-        self.clock = _VirtualClock([self.stage, self.focus])
+        self.stage = _SimulatedStage(stage)
+        self.clock = _VirtualClock(self.stage)
         self.camera = SimpleNamespace(snap=self._snap)
         self._render, self._model, self._rng = render, camera, generator("rng", rng)
         self._next = -np.inf  # time of the earliest next exposure
@@ -108,18 +102,18 @@ class SimulatedWorkstation:
         exposed = self.clock.now()
         self._next = exposed + self._model.interval
         shake = self._model.jitter * self._rng.standard_normal(2)
-        frame = np.asarray(self._render(self.feature + shake, float(self.focus.position()[0])))
+        frame = np.asarray(self._render(self.feature + shake))
         self.clock.sleep(self._model.latency)
         return frame, exposed
 
 
-class _Drive:
-    """Axes that go to a position while the clock moves them on."""
+class _SimulatedStage:
+    """Two axes that go to a position while the clock moves them on."""
 
-    def __init__(self, model: Stage, axes: int) -> None:
+    def __init__(self, model: Stage) -> None:
         self._model = model
-        self._position: Array = np.zeros(axes)
-        self._target: Array = np.zeros(axes)
+        self._position: Array = np.zeros(2)
+        self._target: Array = np.zeros(2)
 
     def position(self) -> Array:
         return self._model.rounded(self._position)
@@ -128,7 +122,7 @@ class _Drive:
         return bool((self._position != self._target).any())
 
     def move_to(self, position: Array) -> None:
-        target = as_array("position", position, shape=self._position.shape)
+        target = as_array("position", position, shape=(2,))
         self._target = np.clip(target, -self._model.travel, self._model.travel)
 
     def stop(self) -> None:
@@ -145,9 +139,9 @@ class _Drive:
 class _VirtualClock:
     """Time that passes when it is waited for; several threads may wait."""
 
-    def __init__(self, drives: list[_Drive]) -> None:
+    def __init__(self, stage: _SimulatedStage) -> None:
         self._now = 0.0
-        self._drives = drives
+        self._stage = stage
         self._lock = RLock()
 
     def now(self) -> float:
@@ -156,5 +150,4 @@ class _VirtualClock:
     def sleep(self, seconds: float) -> None:
         with self._lock:
             self._now += seconds
-            for drive in self._drives:
-                drive.advance(seconds)
+            self._stage.advance(seconds)

@@ -84,7 +84,7 @@ def station(u, image=None, **options) -> dict:
     turn = np.eye(2) if image is None else image
     home, drift = turn @ [u.x0, u.y0], turn @ [0.7, -0.4] * u.px / u.s
     return {
-        "render": lambda feature, focus: np.zeros((9, 9)),
+        "render": lambda feature: np.zeros((9, 9)),
         "jacobian": turn @ J * u.px / u.um,
         "stage": Stage(400.0 * u.um / u.s, step=0.0, travel=9000.0 * u.um),
         "camera": Camera(0.03 * u.s, latency=0.01 * u.s),
