@@ -15,11 +15,13 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from book_tables import IMPORT, line, raw_html, section, show, table
 from docutils import nodes
 from docutils.statemachine import StringList
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
@@ -161,7 +163,10 @@ def draw(chart: Chart) -> Figure:
     axes.set_yticklabels(list(found.index))
     if chart.log:
         axes.set_xscale("log")
+        few_decades = np.nanmax(found) < 20 * np.nanmin(found)  # the labels have room
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few_decades else (1,)))
         axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(axis="y", alpha=0.3)
     figure.legend(loc="outside lower center", ncols=1)
     return figure

@@ -16,7 +16,7 @@ addEventListener("DOMContentLoaded", () => {
     canvas.setAttribute("aria-label", `${picture.alt} The arrow keys turn it.`);
     figure.classList.add("surface");
     figure.prepend(canvas);
-    for (const [name, color] of Object.entries(texts.key)) {
+    for (const [name, color] of Object.entries(texts.key).reverse()) {
       const entry = Object.assign(document.createElement("span"), { className: "surface-key", textContent: name });
       entry.style.setProperty("--color", color);
       canvas.after(entry);
@@ -67,9 +67,14 @@ addEventListener("DOMContentLoaded", () => {
           pen.stroke(); // or gaps would show between the faces
         }
       pen.fillStyle = getComputedStyle(canvas).color;
+      pen.strokeStyle = getComputedStyle(document.body).backgroundColor;
+      [pen.lineWidth, pen.lineJoin] = [3, "round"];
       const write = (text, [x, y], side) => {
         pen.textAlign = side;
-        pen.fillText(text, Math.max(2, Math.min(width - 2, x)), y);
+        const room = pen.measureText(text).width; // a text ends within the canvas
+        const at = side === "left" ? Math.min(x, width - 2 - room) : Math.max(x, 2 + room);
+        pen.strokeText(text, at, y); // a rim of the page's color, where the surface lies behind
+        pen.fillText(text, at, y);
       };
       const near = c > 0 ? rows - 1 : 0, beside = s > 0 ? 0 : cols - 1;
       const [alongX, alongY] = [place((cols - 1) / 2, near, 0), place(beside, (rows - 1) / 2, 0)];
