@@ -34,13 +34,15 @@ def draw_detection(ax: Axes, image: NDArray, detection: Detection, *, label_ever
     """
     photograph(ax, np.rint(image).astype(np.uint8))
     ax.plot(*detection.points.T, "+", color=COLORS["yellow"], ms=7, mew=1.4)
-    room = detection.points[:, 0] < 0.93 * image.shape[1]
-    chosen = (detection.grid % label_every == 0).all(axis=1) & room
-    look: dict[str, Any] = {"color": "black", "va": "top"}
+    rows, columns = image.shape
+    chosen = (detection.grid % label_every == 0).all(axis=1)
+    look: dict[str, Any] = {"color": "black", "va": "top", "textcoords": "offset points"}
     look["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
     for place, (i, j) in zip(detection.points[chosen], detection.grid[chosen], strict=True):
-        ax.annotate(f"{i},{j}", place, (3, -3), textcoords="offset points", clip_on=True, **look)
-    rows, columns = image.shape
+        text = f"{i},{j}"
+        # A letter takes up to 0.045 of the width; a label that the border would cut is left out.
+        if place[0] < (1 - 0.045 * len(text)) * columns and place[1] < 0.92 * rows:
+            ax.annotate(text, place, (3, -3), **look)
     ax.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
     ax.set(xlabel="", ylabel="", xticks=[], yticks=[])
 

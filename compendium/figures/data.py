@@ -71,7 +71,8 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
         written.append(stem.with_suffix(".csv"))
         replace_file(written[-1], lambda file: table.to_csv(file, index=False, lineterminator="\n"))
     if images:
-        images["panel_titles"] = np.array([axes.get_title() for axes in figure.axes])
+        titles = [axes.get_title("left") or axes.get_title() for axes in figure.axes]
+        images["panel_titles"] = np.array(titles)
         written.append(stem.with_suffix(".npz"))
         replace_file(written[-1], lambda file: np.savez_compressed(file, **images))
     return written

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from compendium import thesis
 from compendium.experiments.section_5_6 import Outline, Scene
-from compendium.figures.panels import legend_below, length
+from compendium.figures.panels import legend_below, length, letter
 from compendium.figures.style import COLORS
 from microlib.embryo import GaussianSum, dimple_geometry
 from microlib.membrane import dimple_profile
@@ -70,7 +70,7 @@ def draw_printed_outline(curve: GaussianSum) -> Figure:
     look: dict[str, Any] = {"color": COLORS["pink"], "ms": 8, "label": "maxima of the right rim"}
     axes.plot(pixel * right, pixel * curve(right), "^", **look)
     length(axes, (x1, y1 + 25), (x2, y1 + 25), "a", (0, 30))
-    length(axes, (x2, y1), (x2, y2), "$w_d$", (35, 0))
+    length(axes, (x2, y1), (x2, y2), "$w_d$", (34, 38))
     axes.set(xlabel="x (µm)", ylabel="y, up (µm)", aspect="equal")
     axes.set(xlim=pixel * (x[[0, -1]] + [-3, 3]), ylim=(None, y1 + 90))
     legend_below(figure, ncols=2)
@@ -97,22 +97,23 @@ def draw_rendered_outline(
     """
     base = np.interp(columns, boundary.x, boundary.y).min()
     (x1, y1), (x2, y2) = _rim_and_bottom(smooth)
-    figure, (whole, bottom) = plt.subplots(2, 1, figsize=(6.4, 6.0))
+    figure, (whole, bottom) = plt.subplots(2, 1, figsize=(6.4, 4.9))
     for axes in (whole, bottom):
         axes.plot(columns, smooth(columns), color=COLORS["yellow"], label="eight Gaussians")
         axes.plot(columns, profile - base, color=COLORS["blue"], lw=3, label="profile (4.2)")
         axes.plot(boundary.x, boundary.y - base, ".", color=COLORS["ink"], ms=4, label="outline")
-        axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal")
+        axes.set(xlabel="x (px)", ylabel="y, up (px)", aspect="equal", title="the dimple")
     length(whole, (x1, y1 + 4), (x2, y1 + 4), "a", (0, 6))
-    length(whole, (x2, y1), (x2, y2), "$w_d$", (9, 0))
+    length(whole, (x2, y1), (x2, y2), "$w_d$", (8, 8))
     near = 1.5 * scene.embryo.dimple_radius / scene.pixel_size
     middle = scene.center[0]
     whole.set(xlim=(middle - near, middle + near), ylim=(-6, y1 + 18))
     # The two curves differ within four widths of the probe.
     reach = 4 * thesis.MEMBRANE["probe_half_width"] / scene.pixel_size
     bottom.set(
-        xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="bottom, enlarged"
+        xlim=(middle - reach, middle + reach), ylim=(-2, reach / 2), title="its bottom, enlarged"
     )
+    letter((whole, bottom))
     legend_below(figure)
     return figure
 

@@ -17,17 +17,20 @@ from IPython.display import HTML
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.interpolate import interp1d
 
 from compendium.experiments.chapter_2_tracking import Target, corners, warped
-from compendium.figures.panels import photograph
+from compendium.figures.panels import letter, photograph
 from compendium.figures.style import COLORS
 from microlib.membrane import dimple_profile
 
 #: What one film may weigh.
 MOST_BYTES = 400_000
+#: Text and axes of a film: its contrast is 4:1 or more on a light and on a dark page.
+ON_BOTH = "#767676"
 
 
 def film(
@@ -69,6 +72,11 @@ def film(
     ValueError
         If the film is heavier than `MOST_BYTES`.
     """
+    for axes in figure.axes:
+        axes.tick_params(colors=ON_BOTH)
+        axes.spines[:].set_color(ON_BOTH)
+    for text in figure.findobj(Text):
+        text.set_color(ON_BOTH)
     canvas = FigureCanvasAgg(figure)
     pictures = []
     for k in range(len(durations)):
@@ -76,7 +84,7 @@ def film(
         canvas.draw()
         # The axes stay where the first picture has them.
         figure.set_layout_engine("none")
-        pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+        pictures.append(Image.fromarray(np.array(canvas.buffer_rgba())))
     loop: dict[str, Any] = {"append_images": pictures[1:], "duration": durations, "loop": 0}
     moving = _webp(pictures[0], save_all=True, quality=45, method=4, **loop)
     if len(moving) > 4 / 3 * MOST_BYTES:
@@ -93,7 +101,7 @@ def film(
 
 def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
     """Return a figure nearly as wide as the page, of 640 px, with two panels, and the panels."""
-    figure = Figure((6.4, height), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure((6.4, height), dpi=100, facecolor="none", layout="constrained")
     return figure, *figure.subplots(1, 2, **how)
 
 
@@ -112,8 +120,9 @@ def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
     figure, left, right = _two_panels(3.8)
     photograph(left, target.image, "image and window")
     window = left.add_patch(Polygon(corners(warps[0]), fill=False, ec=COLORS["orange"], lw=3))
-    title = "step 0: corners off by 00.00 px"
+    title = "step 0, error 00.00 px"
     difference = photograph(right, target.template, title, cmap="RdBu_r", vmin=-80, vmax=80)
+    letter((left, right))
     parts = 4  # pictures from one step to the next
     steps = np.arange(parts * (len(warps) - 1) + 1) / parts
     flat = np.reshape(warps, (len(warps), 9))
@@ -124,7 +133,7 @@ def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
         window.set_xy(corners(between[k]))
         difference.set_data(warped(target.image, between[k]) - target.template)
         off = np.linalg.norm(corners(between[k]) - true, axis=1).mean()
-        right.set_title(f"step {k // parts}: corners off by {off:.2f} px")
+        right.set_title(f"(b) step {k // parts}, error {off:.2f} px", loc="left")
 
     durations = [900 if k % parts == 0 else 90 for k in range(len(between))]
     durations[-1] = 2500
@@ -149,13 +158,14 @@ def film_focus(frames: NDArray, positions: NDArray, depth: NDArray, **texts: str
     frame = photograph(left, frames[0])
     heights = {"cmap": "viridis", "vmin": positions[0], "vmax": positions[-1]}
     known = photograph(right, depth, "height found so far", **heights)
+    letter((left, right))
     right.set(facecolor="#D9D9D9", ylabel="")
     figure.colorbar(known, ax=right, label="height (µm)")
     half = np.diff(positions).mean() / 2
 
     def draw(k: int) -> None:
         frame.set_data(frames[k])
-        left.set_title(f"frame at d = {positions[k]:.0f} µm")
+        left.set_title(f"(a) frame at d = {positions[k]:.0f} µm", loc="left")
         known.set_data(np.where(depth <= positions[k] + half, depth, np.nan))
 
     durations = [450] * len(frames)
@@ -188,6 +198,7 @@ def film_dimple(
     curve.plot(depths, forces, color=COLORS["grey"], lw=1.2)
     (now,) = curve.plot([0], [0], "o", color=COLORS["orange"], ms=10)
     curve.set(xlabel="dimple depth (µm)", ylabel="force F (µN)")
+    letter((section, curve))
     turns = 32
     push = (1 - np.cos(2 * np.pi * np.arange(turns) / turns)) / 2  # there and back
 
@@ -199,7 +210,7 @@ def film_dimple(
         probe.set_xy(np.c_[[*edge, *edge[::-1]], [-w, -w, depth, depth]])
         force = float(np.interp(w, depths, forces))
         now.set_data([w], [force])
-        section.set_title(f"pressed by {force:.0f} µN")
+        section.set_title(f"(a) pressed by {force:.0f} µN", loc="left")
 
     return film(figure, draw, [100] * turns, still=turns // 2, **texts)
 

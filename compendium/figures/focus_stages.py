@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from compendium.figures.panels import letter
 from compendium.figures.style import COLORS
 from microlib import synthetic
 from microlib.focus import (
@@ -41,14 +42,14 @@ def draw_focus_stages() -> Figure:
     figure, grid = plt.subplots(4, 2, figsize=(6.4, 12.4))
     heights: dict[str, Any] = {"cmap": "viridis", "vmin": z[0], "vmax": 200}
     pictures = {
-        "1  a frame": (stack[6], "grey level", {}),
-        "2  its sharpness": (sharpness[6], "focus measure (grey levels)", {"cmap": "magma"}),
-        "3  a pixel: its peak": None,
-        "4  best frame": (z[best], "height (µm)", heights),
-        "5  between the frames": (fitted, "height (µm)", heights),
-        "6  without spikes": (smooth, "height (µm)", heights),
-        "7  edges, rules, relief": (found.depth, "height (µm)", heights),
-        "8  its uncertainty": (found.uncertainty, "error (µm)", {"cmap": "magma", "vmax": 10}),
+        "a frame": (stack[6], "grey level", {}),
+        "its sharpness": (sharpness[6], "focus measure (grey levels)", {"cmap": "magma"}),
+        "a pixel: its peak": None,
+        "best frame": (z[best], "height (µm)", heights),
+        "between the frames": (fitted, "height (µm)", heights),
+        "without spikes": (smooth, "height (µm)", heights),
+        "edges, rules, relief": (found.depth, "height (µm)", heights),
+        "its uncertainty": (found.uncertainty, "error (µm)", {"cmap": "magma", "vmax": 10}),
     }
     for axes, (title, shown) in zip(grid.flat, pictures.items(), strict=True):
         axes.set_title(title)
@@ -62,4 +63,5 @@ def draw_focus_stages() -> Figure:
         drawn = axes.imshow(image, **look)
         axes.set(xticks=[], yticks=[])
         figure.colorbar(drawn, ax=axes, label=unit, location="bottom")
+    letter(grid.flat)
     return figure

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from compendium.figures.panels import arrows, boxes
+from compendium.figures.panels import arrows, boxes, letter
 from compendium.figures.style import COLORS
 
 #: What each task gets, does and gives, with a color.
@@ -29,6 +29,7 @@ def draw_system() -> Figure:
         right.text(2.1, y + 0.92, given, ha="center", va="center")
         right.text(2.1, y - 0.3, f"→ {result}", ha="center", va="center")
     right.set(xlim=(-0.2, 4.4), ylim=(-7.2, 1.3))
+    letter((left, right))
     for axes in (left, right):
         axes.axis("off")
     return figure

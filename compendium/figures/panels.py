@@ -1,8 +1,9 @@
-"""Pieces that several drawings are made of: boxes, arrows, lengths, intervals, rows of images."""
+"""Pieces that several drawings are made of: boxes, arrows, lengths, intervals, letters, images."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from string import ascii_lowercase
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -60,6 +61,14 @@ def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> No
     )
 
 
+def letter(panels: Iterable[Axes]) -> None:
+    """Letter panels (a), (b), … at their upper left corners, before the title that each has."""
+    for name, axes in zip(ascii_lowercase, panels, strict=False):
+        title = axes.get_title()
+        axes.set_title("")
+        axes.set_title(f"({name}) {title}".strip(), loc="left")
+
+
 def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) -> None:
     """Put one legend under all panels, of the first panel's entries unless others are given."""
     entries = list(handles) or figure.axes[0].get_legend_handles_labels()[0]
@@ -70,13 +79,14 @@ def legend_below(figure: Figure, handles: Iterable[Any] = (), ncols: int = 3) ->
 def images(
     shown: Mapping[str, NDArray], *, cmap: str = "gray", unit: str = "", **look: Any
 ) -> tuple[Figure, NDArray]:
-    """Show images side by side under their titles, with one color bar if they have a unit."""
+    """Show images side by side under letters and titles, with one color bar if they have a unit."""
     height, width = next(iter(shown.values())).shape[:2]
     size = (6.4, (5.2 if unit else 6.4) / len(shown) * height / width + 0.5)
     figure, grid = plt.subplots(1, len(shown), figsize=size, squeeze=False)
     for axes, (title, image) in zip(grid.flat, shown.items(), strict=True):
         drawn = axes.imshow(image, cmap=cmap, **look)
         axes.set(title=title, xticks=[], yticks=[])
+    letter(grid.flat)
     if unit:
         figure.colorbar(drawn, ax=grid, label=unit)
     return figure, grid

@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from compendium import thesis
-from compendium.figures.panels import SYMBOL, arrows, boxes, legend_below, photograph
+from compendium.figures.panels import SYMBOL, arrows, boxes, legend_below, letter, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
@@ -25,7 +26,7 @@ def draw_loop() -> Figure:
     axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
     axes.axis("off")
     blocks = {
-        "control law\n(2.3) or (2.28)": (2.0, 2.0, 2.2, 1.0, "orange"),
+        "control law\n(2.3) or (2.28)": (1.93, 2.0, 2.34, 1.0, "orange"),
         "stage with its\nposition loop": (5.0, 2.0, 2.2, 1.0, "grey"),
         "microscope\nand camera": (8.6, 2.0, 2.2, 1.0, "grey"),
         "tracker\nESM, Kalman": (6.8, 0.0, 2.2, 1.0, "blue"),
@@ -35,7 +36,7 @@ def draw_loop() -> Figure:
     axes.text(0.75, 2.5, "Σ", ha="center", va="center")
     axes.plot([10.85, 11.4, 11.4], [2.5, 2.5, 0.5], color=COLORS["ink"], lw=1.4)
     axes.plot([6.75, 0.75], [0.5, 0.5], color=COLORS["ink"], lw=1.4)
-    forward = [((x, 2.5), (end, 2.5)) for x, end in ((-0.6, 0.45), (1.05, 1.95), (4.25, 4.95))]
+    forward = [((x, 2.5), (end, 2.5)) for x, end in ((-0.6, 0.45), (1.05, 1.88), (4.32, 4.95))]
     back = [((11.4, 0.5), (9.05, 0.5)), ((0.75, 0.5), (0.75, 2.2))]
     arrows(axes, [*forward, ((7.25, 2.5), (8.55, 2.5)), *back])
     for x, y, label in (
@@ -67,7 +68,7 @@ def draw_track(
 def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
     """Draw figures 5.4 and 5.5: position, velocity and distance to the goal, a column a run.
 
-    The printed settling time and the printed error at that time are marked.
+    The reported settling time and the reported error at that time are marked.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
         Share of the step within which it counts as settled, which is shaded.
     """
     figure, grid = plt.subplots(
-        3, len(runs), figsize=(6.4, 7.6), squeeze=False, sharex="col", sharey="row"
+        3, len(runs), figsize=(6.4, 6.2), squeeze=False, sharex="col", sharey="row"
     )
     for (zoom, run), (top, middle, bottom) in zip(runs.items(), grid.T, strict=True):
         entry = f"table-5.3/{zoom}/{{}}".format
@@ -91,13 +92,14 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
         distance = thesis.effective_pixel(zoom) * np.linalg.norm(moved - step, axis=1)
         bottom.plot(run.time, distance, color=COLORS["blue"], label="simulated")
         bottom.axhspan(0, band * distance[0], color=COLORS["grey"], alpha=0.2, lw=0)
-        bottom.plot(time, error, "D", color=COLORS["orange"], ms=8, label="printed")
+        bottom.plot(time, error, "D", color=COLORS["orange"], ms=8, label="reported")
         for axes in (top, middle, bottom):
             axes.axvline(time, color=COLORS["orange"], ls=":", lw=1.5)
         top.set(title=f"step at {zoom}")
         bottom.set(yscale="log", xlabel="time (s)")
     for row, name in enumerate(("position (px)", "velocity (µm/s)", "error (µm)")):
         grid[row, 0].set_ylabel(name)
+    letter(grid.flat)
     grid[0, -1].legend(loc="lower right")
     grid[2, -1].legend(loc="upper right")
     return figure
@@ -106,7 +108,7 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
 def draw_path_runs(runs: dict[str, Any]) -> Figure:
     """Draw figures 5.6 to 5.8: each path at 1X with its reference, and its error against time.
 
-    The printed mean of the error is a line in a band of the printed standard deviation.
+    The reported mean of the error is a line in a band of the reported standard deviation.
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ def draw_path_runs(runs: dict[str, Any]) -> Figure:
         By path.
     """
     pixel = thesis.effective_pixel("1X")
-    figure, grid = plt.subplots(len(runs), 2, figsize=(6.4, 2.9 * len(runs)), squeeze=False)
+    figure, grid = plt.subplots(len(runs), 2, figsize=(6.4, 2.2 * len(runs)), squeeze=False)
     for (name, run), (left, right) in zip(runs.items(), grid, strict=True):
         start = run.reference[0]
         # The measurement hardly leaves the reference, which therefore lies on top of it.
@@ -125,9 +127,10 @@ def draw_path_runs(runs: dict[str, Any]) -> Figure:
         error = pixel * np.linalg.norm(run.measured[:-1] - run.reference[1:], axis=1)
         right.plot(run.time[:-1], error, color=COLORS["blue"], lw=1.2, label="simulated")
         mean, std = (claim(f"table-5.4/1X/{name}/{w}").value for w in ("accuracy", "precision"))
-        right.axhline(mean, color=COLORS["orange"], ls="--", label="printed mean")
+        right.axhline(mean, color=COLORS["orange"], ls="--", label="reported mean")
         right.axhspan(mean - std, mean + std, color=COLORS["orange"], alpha=0.2, lw=0)
         right.set(xlabel="time (s)", ylabel="error (µm)", ylim=(0, None))
+    letter(grid.flat)
     legend_below(figure, [h for ax in grid[0] for h in ax.get_legend_handles_labels()[0]], ncols=4)
     return figure
 
@@ -159,7 +162,6 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
         label = "simulated: decays" if decays else "simulated: grows"
         axes.plot(*chosen.T, marker, color="white", mec="black", mew=1.2, ms=8, label=label)
     axes.axhline(gain, color="black", ls="--", lw=1.4)
-    axes.text(1.97, gain + 0.03, "thesis' gain at 1X", ha="right", color="black")
     figure.colorbar(shades, label="modulus of the slowest pole", ticks=np.arange(0, 2.01, 0.4))
     axes.set(xlabel="delay (frames)", ylabel="loop gain g", ylim=(gains[0], gains[-1]))
     axes.grid(False)
@@ -174,7 +176,10 @@ def draw_stability(moduli: pd.DataFrame, loops: pd.DataFrame, gain: float) -> Fi
             va="center",
             color="black",
         )
-    legend_below(figure)
+    # The line of the legend is on the page's ground, which may be dark.
+    look: dict[str, Any] = {"color": COLORS["ink"], "ls": "--", "lw": 1.4}
+    reported = Line2D([], [], label="gain of the thesis at 1X", **look)
+    legend_below(figure, [*axes.get_legend_handles_labels()[0], reported], ncols=2)
     return figure
 
 
@@ -206,6 +211,7 @@ def draw_esm_step(errors: pd.DataFrame) -> Figure:
         label = f"gradient: {name}"
         right.plot(errors.index, errors[name], line, color=COLORS[color], marker="o", label=label)
     right.set(yscale="log", xlabel="step", ylabel="error of the corners (px)", title="all steps")
+    letter((left, right))
     legend_below(figure, right.get_legend_handles_labels()[0], ncols=2)
     return figure
 
@@ -218,7 +224,7 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
     where, spread = (track["frame"], track["predicted"]), track["predicted_std"]
     left.errorbar(*where, yerr=spread, fmt="s", label="predicted, ± σ", **look)
     left.plot(track["frame"], track["measured"], "o", color=COLORS["blue"], label="measured")
-    left.plot(track["frame"], track["true"], color=COLORS["ink"], lw=1.2, label="truth")
+    left.plot(track["frame"], track["true"], color=COLORS["ink"], lw=1.2, label="true")
     left.set(xlabel="frame", ylabel="x (px)", title="a track", ylim=(None, 26))
     left.legend(loc="upper left")
     bells = {
@@ -233,5 +239,6 @@ def draw_kalman_step(track: pd.DataFrame, noise: float) -> Figure:
         right.plot(x, density, line, color=COLORS[color], label=name)
     right.set(xlabel="x (px)", ylabel="probability density (1/px)", title="its last frame")
     right.set(ylim=(0, 1.45 * np.max(density)))
+    letter((left, right))
     right.legend(loc="upper left")
     return figure

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from compendium.experiments.section_5_5 import BALL_PIXEL, BALL_RADIUS, BALL_SHAPE, Scene
-from compendium.figures.panels import legend_below, photograph
+from compendium.figures.panels import legend_below, letter, photograph
 from compendium.figures.style import COLORS
 from compendium.figures.surfaces import draw_labels, label_patches
 
@@ -61,15 +61,16 @@ def draw_focus(
     above, profile = lower.subplots(1, 2, width_ratios=(1, 1.1))
     extent = (0, cols * size, rows * size, 0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
-    seen = photograph(above, depth, "height (µm)", **look)
+    seen = photograph(above, depth, "height from focus", **look)
     above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    lower.colorbar(seen, ax=above, shrink=0.8)
+    lower.colorbar(seen, ax=above, shrink=0.8).ax.set_title("µm")
     across, middle = size * np.arange(cols), rows // 2
     profile.plot(across, scene.height[middle], color=COLORS["ink"], lw=1.2, label="true height")
     profile.plot(across, depth[middle], color=COLORS["blue"], label="from focus")
-    profile.set(xlabel=f"x ({unit})", ylabel="height (µm)", title="section through the middle")
+    profile.set(xlabel=f"x ({unit})", ylabel="height (µm)", title="section in the middle")
     profile.set_ylim(None, 1.6 * depth.max())
     profile.legend(loc="upper left")
+    letter([*row, above, profile])
     return figure
 
 
@@ -96,7 +97,7 @@ def draw_types(
     rows = -(-len(labels) // columns)
     x, y, width, height = box or (0, 0, *next(iter(labels.values())).shape[::-1])
     # Inches: square pixels, a title and a label for each row, a legend below.
-    size = (6.4, 1.2 + rows * (0.75 + 5.6 / columns * height / width))
+    size = (6.4, 1.2 + rows * (0.4 + 5.6 / columns * height / width))
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     for axes, (title, types) in zip(grid.flat, labels.items(), strict=True):
         draw_labels(axes, types, legend=False)
@@ -106,6 +107,7 @@ def draw_types(
             middle = ((BALL_SHAPE[1] - 1) / 2, (BALL_SHAPE[0] - 1) / 2)
             radius = share * BALL_RADIUS / BALL_PIXEL
             axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
+    letter(grid.flat)
     part = [types[y : y + height, x : x + width] for types in labels.values()]
     legend_below(figure, label_patches(np.stack(part)))
     return figure

@@ -8,11 +8,13 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from compendium.figures.cells import PIXEL_SIZE, render_cells
 from compendium.figures.embryo import add_scale_bar, show_image
-from compendium.figures.panels import legend_below
+from compendium.figures.panels import legend_below, letter
+from compendium.figures.style import COLORS
 from compendium.figures.surfaces import draw_labels, draw_surface, label_patches
 from microlib import synthetic
 from microlib.curvature import hk_labels, surface_curvature
@@ -37,8 +39,10 @@ def draw_solids() -> Figure:
         draw_surface(axes, height, 1.0, labels=labels, turned=name != "cylinder")
         axes.set(title=name, xticks=ticks, yticks=ticks, zticks=[0, 80])
         axes.set_box_aspect((1, 1, 0.7))
+    letter(figure.axes)
     key = figure.add_subplot(2, 2, 4)
-    key.legend(handles=label_patches(np.stack(found)), loc="center")
+    untyped = Patch(facecolor="white", edgecolor=COLORS["grey"], label="no type")
+    key.legend(handles=[*label_patches(np.stack(found)), untyped], loc="center")
     key.axis("off")
     return figure
 
@@ -63,6 +67,7 @@ def draw_label_maps(maps: Mapping[str, NDArray[np.uint8]]) -> Figure:
         draw_labels(axes, labels, legend=False)
         axes.set(title=title)
         axes.label_outer()
+    letter(row)
     legend_below(figure, label_patches(np.stack([*maps.values()])))
     return figure
 
@@ -75,6 +80,7 @@ def draw_cells(rng: np.random.Generator) -> Figure:
         show_image(axes, image)
         add_scale_bar(axes, 20, PIXEL_SIZE)
         axes.set_title(f"{kind}, rendered")
+    letter(row)
     return figure
 
 

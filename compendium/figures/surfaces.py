@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from compendium.figures.data import FOLDER_VARIABLE, show
-from compendium.figures.panels import legend_below, length, photograph
+from compendium.figures.panels import legend_below, length, letter, photograph
 from compendium.figures.style import COLORS
 from microlib import optics
 from microlib.curvature import HK_NAMES
@@ -84,6 +84,7 @@ def draw_sinking_stage() -> Figure:
         if lowered:
             # From the plane in focus, where the ground was, down to where it is.
             length(axes, (-0.92, 0), (-0.92, -lowered), "d", (0.14, 0))
+    letter(row)
     length(row[0], (0.62, 0), (0.62, top), "$d_s$", (0.2, 0))
     row[0].text(0.36, 1.06, "objective")
     below = {"va": "top"}

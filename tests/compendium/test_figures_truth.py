@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.stats import norm
 
-from compendium.figures import films, servoing, style, surfaces
+from compendium.figures import films, panels, servoing, style, surfaces
 from compendium.figures.data import keep_data
 from microlib.curvature import HK_NAMES
 
@@ -104,9 +104,19 @@ def test_legend_lists_occurring_types_with_their_colors() -> None:
     np.testing.assert_allclose(shown, [p.get_facecolor() for p in legend.get_patches()], atol=0.01)
 
 
+def test_panels_are_lettered_at_their_left_before_their_titles() -> None:
+    figure, row = plt.subplots(1, 3)
+    row[1].set_title("depth")
+    panels.letter(row)
+    assert [axes.get_title("left") for axes in row] == ["(a)", "(b) depth", "(c)"]
+    assert [axes.get_title() for axes in row] == ["", "", ""]
+    plt.close(figure)
+
+
 def test_film_loops_and_has_still_image() -> None:
-    figure = Figure(figsize=(2, 1), dpi=50)
+    figure = Figure(figsize=(2, 1), dpi=50, facecolor="none")
     axes = figure.subplots()
+    axes.set_facecolor("none")
     bar = axes.axvspan(0, 1, color="black")
     axes.set(xlim=(0, 3), ylim=(0, 1))
     axes.axis("off")
@@ -121,6 +131,7 @@ def test_film_loops_and_has_still_image() -> None:
         moving.seek(k)
         moving.load()
         assert moving.info["duration"] == length
-        dark = np.flatnonzero(np.asarray(moving.convert("L"))[25] < 128).mean()
+        # The page shows through beside the bar, so that the film suits a dark page, too.
+        dark = np.flatnonzero(np.asarray(moving.convert("RGBA"))[25, :, 3] > 128).mean()
         assert np.digitize(dark, np.linspace(0, 100, 4)) == k + 1
     assert html.count('alt="a &quot;dot&quot;"') == 2

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
 #: What has no unit, as an axis names it.
 PURE = {
-    "grey value", "step", "frame", "loop gain g", "recomputed / printed", "focus measure F",
+    "grey value", "step", "frame", "loop gain g", "recomputed / reported", "focus measure F",
     "focus measure, of its largest", "depth of the dimple / its radius",
 }  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
@@ -71,7 +71,10 @@ def test_notebook_follows_layout_rules(path: Path) -> None:
         assert not cell.outputs, f"{cell.id} has outputs; run `make format`"
         figure = cell.metadata.get("mystnb", {})
         if "figure" in figure:
-            assert figure["figure"]["caption"].endswith("."), cell.id
+            # A title phrase and sentences, which call panels by their letters.
+            caption = figure["figure"]["caption"]
+            assert re.match(r"\*\*.*?[.?]\*\* [A-Z(].*\.$", caption), caption
+            assert not re.search(r"\b(Left|Right|Above|Below)\b[:,]", caption), caption
             assert len(figure["image"]["alt"]) > 20, cell.id
         elif "plt.show()" in cell.source:
             pytest.fail(f"{cell.id} draws a figure without a caption")
