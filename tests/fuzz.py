@@ -241,14 +241,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "servoing.servo": lambda: {
         "jacobian": np.eye(2) * 0.3, "progress": lambda row: None,
-        "controller": lambda k, measured, goals: (goals[0] - measured) * 30.0,
-    },
-    "servoing.PredictiveController.executed": lambda: {
-        "self": servoing.PredictiveController(
-            np.eye(2) * 0.3, interval=0.04, feature_weight=(1, 1), control_weight=(1, 1),
-            delay=0.03, saturation=300.0,
-        ),
-        "velocity": [3.0, -2.0],
     },
     "servoing.MicroManager": lambda: {"core": core()},
     "servoing.SimulatedWorkstation": lambda: {

@@ -365,10 +365,6 @@ class PredictiveController(OptimalController):
         self._pending = np.zeros((int(self._delay) + 1, self._step.shape[1]))
         self._estimate: Array | None = None
 
-    def executed(self, velocity: ArrayLike) -> None:
-        """Replace the last command by the velocity that a limit left of it, µm/s."""
-        self._pending[-1] = as_array("velocity", velocity, shape=self._pending[-1].shape)
-
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
         """Return the velocity for sample `k`, µm/s; a run begins with sample 0."""
         measured, reference = _checked_sample(k, measured, reference, len(self._step))

@@ -17,7 +17,6 @@ from microlib.servoing._motion import (
     calibration_moves,
     fit_motion,
 )
-from microlib.servoing._workstation import Controller
 
 #: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
 #: correction; a wrong Jacobian, a stuck axis or a frozen frame fails every one.
@@ -38,10 +37,8 @@ class Settings:
     targets: Array
     travel: Array
     test_move: float
-    controller: Controller | None
     tolerance: float
     step: float | None
-    interval: float
     most_frames: int
     most_lost: int
     timeout: float
@@ -189,7 +186,6 @@ class Loop:
 
     def _servo_to(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
-        sample = 0
         for _ in range(self._settings.most_frames):
             seen = self._observe("servo", number, reference)
             if not self._is_seen(seen):
@@ -199,8 +195,7 @@ class Loop:
                 add_event(seen.row, "reached")
                 self._report(seen)
                 return
-            self._move(seen, sample, reference)
-            sample += 1
+            self._move(seen, reference)
             self._report(seen)
         raise EndRun(f"target {number} was not reached in {self._settings.most_frames} frames")
 
@@ -216,17 +211,10 @@ class Loop:
             raise EndRun(f"lost: {seen.row['event']} in {self._lost} frames in a row")
         return False
 
-    def _move(self, seen: Observation, sample: int, goal: Array) -> None:
-        """Move by what the controller, or J, commands, within the limits."""
+    def _move(self, seen: Observation, goal: Array) -> None:
+        """Move to where the goal is by J, within the limits."""
         settings = self._settings
-        if settings.controller is None:
-            way = np.linalg.solve(self.motion.jacobian, goal - seen.measured)
-        else:
-            answer = settings.controller(sample, seen.measured, np.stack([goal, goal]))
-            velocity = np.asarray(answer, dtype=float)
-            if velocity.shape != (2,) or not np.isfinite(velocity).all():
-                raise EndRun(f"the controller must give two finite velocities, got {velocity}")
-            way = velocity * settings.interval
+        way = np.linalg.solve(self.motion.jacobian, goal - seen.measured)
         length = float(np.linalg.norm(way))
         if settings.step is not None and length > settings.step:
             way = way * (settings.step / length)
@@ -235,8 +223,6 @@ class Loop:
         target = np.clip(seen.position + way, self._start - room, self._start + room)
         if (target != seen.position + way).any():
             add_event(seen.row, "travel")
-        if executed := getattr(settings.controller, "executed", None):
-            executed((target - seen.position) / settings.interval)
         self._go(seen.row, target)
         self._motion_check.predict(self.motion.jacobian @ (target - seen.position))
 

@@ -22,7 +22,6 @@ from microlib.servoing._devices import (
 )
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
-from microlib.servoing._workstation import Controller
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,10 +82,8 @@ def servo(
     travel: ArrayLike,
     jacobian: ArrayLike | None = None,
     test_move: float | None = None,
-    controller: Controller | None = None,
     tolerance: float = 0.05,
     step: float | None = None,
-    interval: float = 0.1,
     most_frames: int = 50,
     most_lost: int = 3,
     timeout: float = 10.0,
@@ -96,9 +93,10 @@ def servo(
 
     Without a Jacobian the stage first makes small test moves, out and back both ways along both
     axes, and J with a drift is fitted to the measured features. Then the loop takes a frame,
-    measures and moves until every target is reached. At the end (all targets reached, a limit, a
-    lost feature, a device that fails or hangs, or Ctrl-C) the stage is stopped and asked whether it
-    stands still.
+    measures, and moves to where the target is by J, until every target is reached. Each frame is
+    taken while the stage stands, so that delays do not matter. At the end (all targets reached, a
+    limit, a lost feature, a device that fails or hangs, or Ctrl-C) the stage is stopped and asked
+    whether it stands still.
 
     Parameters
     ----------
@@ -118,18 +116,10 @@ def servo(
     test_move : float, optional
         Length of the test moves in µm; a tenth of the smaller travel by default. About 10 px in the
         image are good: the error of J is that of the tracker over it.
-    controller : callable, optional
-        Velocity in µm/s for (sample, measured, references) such as an `OptimalController` with this
-        `interval`; the stage is moved by velocity times interval. Samples are counted from 0 for
-        each target. If the controller has a method ``executed(velocity)``, it is called with what
-        `step` and `travel` left of the velocity. By default the stage goes to where
-        the target is by J.
     tolerance : float, optional
         A target is reached within this distance, px.
     step : float, optional
         Longest move between two frames, µm; the travel alone limits it by default.
-    interval : float, optional
-        Sampling time of the controller, s.
     most_frames : int, optional
         Frames after which a target counts as not reachable.
     most_lost : int, optional
@@ -196,10 +186,8 @@ def servo(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=limits,
         test_move=_test_move(test_move, limits, step),
-        controller=controller,
         tolerance=scalar("tolerance", tolerance, above=0),
         step=None if step is None else scalar("step", step, above=0),
-        interval=scalar("interval", interval, above=0),
         most_frames=whole("most_frames", most_frames, least=1),
         most_lost=whole("most_lost", most_lost, least=1),
         timeout=scalar("timeout", timeout, above=0),

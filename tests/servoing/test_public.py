@@ -32,7 +32,7 @@ from tests.laws import (
     um,
     unlike,
 )
-from tests.servoing import test_micromanager, test_servo
+from tests.servoing import test_micromanager
 
 #: px/µm of a camera that is turned, mirrored, and has cells that are not square.
 J = np.array([[0.08, -0.31], [-0.24, -0.11]])
@@ -165,9 +165,6 @@ LAWS = {
     "servoing.PredictiveController": Row(predicting, {"gain": um / s / px}),
     "servoing.PredictiveController.__call__": Row(lambda u: {"self": used(u), **sample(u)}, um / s,
         laws=GOES_ON),
-    "servoing.PredictiveController.executed": TestedBy(
-        test_servo.test_predictive_controller_receives_the_limited_velocity
-    ),
     "servoing.SimulatedWorkstation": Row(lambda u: {"u": u, "workstation": begun(u)},
         (um.counted_from("x0_um", "y0_um"), s.counted_from("t0"), s.counted_from("t0"), XY),
         laws=GOES_ON, call=driven),
@@ -260,19 +257,16 @@ def test_run_ends_after_most_lost_frames_in_a_row(seed):
     assert np.ptp(run.log["latency_s"].dropna()) > 0.003
 
 
-@pytest.mark.parametrize("interval", [0.05, 0.2])
-def test_stage_moves_by_velocity_times_interval(interval):
+def test_error_of_the_jacobian_remains_after_a_move_and_moves_end_at_the_step():
     workstation = begun(Units())
-    law = lambda k, seen, goals: np.linalg.solve(J, 0.5 * (goals[1] - seen)) / interval  # noqa: E731
-    given = {"jacobian": J, "travel": 400.0, "controller": law, "interval": interval}
+    given = {"jacobian": 1.25 * J, "travel": 400.0, "tolerance": 0.5}
     targets = workstation.feature + STEP
-    log = servo(workstation, seeing(workstation), targets, **given, tolerance=0.5).log
+    log = servo(workstation, seeing(workstation), targets, **given).log
     seen = log.loc[log["phase"] == "servo", ["measured_x_px", "measured_y_px"]].to_numpy()
     left = np.linalg.norm(targets - seen, axis=1)
-    np.testing.assert_allclose(left[1:4] / left[:3], 0.5, atol=0.06)  # drift and noise
-    # Nor further than a step.
+    assert left[1] / left[0] == pytest.approx(1 - 1 / 1.25, abs=0.06)  # drift and noise
     workstation = begun(Units())
-    log = servo(workstation, seeing(workstation), targets, **given, tolerance=0.5, step=3.0).log
+    log = servo(workstation, seeing(workstation), targets, **given, step=3.0).log
     first = log[log["phase"] == "servo"].iloc[0]
     way = [first[f"command_{axis}_um"] - first[f"stage_{axis}_um"] for axis in "xy"]
     assert np.hypot(*way) == pytest.approx(3.0)
