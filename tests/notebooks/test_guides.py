@@ -40,10 +40,16 @@ WITHOUT_INPUT = ("servoing",)
 EVERY = (*GUIDES, *WITHOUT_INPUT)
 
 
-#: What the guide to heights leaves.
-FOCUS_FILES = {
-    *(f"{name}.ome.tif" for name in ("height", "uncertainty", "frame", "all_in_focus")),
-    *("surface.ply", "regions.csv", "look.png"),
+#: What each guide leaves of a file of the reader's.
+LEAVES = {
+    "calibration": {"camera.csv", "camera.json", "points.csv", "look.png"},
+    "embryo": {"modulus.csv", "outline.csv", "look.png"},
+    "focus_stack": {
+        *(f"{name}.ome.tif" for name in ("height", "uncertainty", "frame", "all_in_focus")),
+        *("surface.ply", "regions.csv", "look.png"),
+    },
+    "modulus": {"modulus.csv", "inputs.csv", "dimple.png"},
+    "tracking": {"track.csv", "look.png"},
 }
 
 
@@ -103,15 +109,6 @@ def test_executed_guide_compared_its_results_with_truth(guide: str, claims_folde
     assert "nothing is compared" not in text
 
 
-def check_embryo(folder: Path) -> None:
-    """One image of two is none of an embryo: it costs its row, and its reason is kept."""
-    table = pd.read_csv(folder / "moduli.csv").sort_values("file", ignore_index=True)
-    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
-    alone = pd.read_csv(folder / "modulus.csv", index_col=0)["value"]
-    assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
-    assert table["error"][1].startswith("ValueError: ")
-
-
 def run_here(guide: str, **values: object) -> None:
     """Run a guide in this process, without the second that a kernel takes to start."""
     first, *others = code(guide)
@@ -144,51 +141,43 @@ def test_wrong_file_raises_one_clear_line(
         run_here(guide, **{GUIDES.get(guide, ("configuration",))[0]: "mine.tif"})
 
 
-@pytest.mark.parametrize(
-    ("guide", "files"),
-    [
-        ("tracking", {"track.csv", "look.png"}),
-        ("calibration", {"camera.csv", "camera.json", "points.csv", "look.png"}),
-        ("embryo", {"modulus.csv", "moduli.csv", "outline.csv", "look.png"}),
-        ("focus_stack", FOCUS_FILES),
-        ("modulus", {"modulus.csv", "inputs.csv", "dimple.png"}),
-    ],
-)
-def test_guide_runs_on_own_file(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    guide: str,
-    files: set[str],
-) -> None:
-    """A rendered input, taken as if it were the reader's, from the reader's own folder."""
-    parameter, name = GUIDES[guide]
-    name = RENDERED.get(guide, name)
-    mine = f"mine{Path(name).suffix}"
-    shutil.copy(FOLDER / name, tmp_path / mine)
-    # Nothing of the demo is used for a file that is not the demo's.
+def copy_input(guide: str, mine: Path) -> dict[str, object]:
+    """Copy a rendered input; return its scales, of which nothing is used for another file."""
+    name = RENDERED.get(guide, GUIDES[guide][1])
+    shutil.copy(FOLDER / name, mine)
     scales = dict(manifest()[name]["settings"])
     scales.pop("poisson_ratio", None)
-    needed = set(scales) - {"start"}
+    return scales
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_guide_asks_for_the_scales_of_own_file(tmp_path, monkeypatch, guide):
+    parameter, name = GUIDES[guide]
+    mine = f"mine{Path(RENDERED.get(guide, name)).suffix}"
+    needed = set(copy_input(guide, tmp_path / mine)) - {"start"}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="must be given for mine") as asked:
         run_here(guide, **{parameter: mine})
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
-    if guide == "embryo":  # and a folder of two
-        (tmp_path / "plate").mkdir()
-        shutil.copy(FOLDER / name, tmp_path / "plate" / "a.png")
-        tifffile.imwrite(tmp_path / "plate" / "c.tif", np.full((90, 120), 70, np.uint8))
-        scales["more"] = "plate/*"
-    run_here(guide, **{parameter: mine} | scales)
-    assert {path.name for path in (tmp_path / "kept").iterdir()} == files
+
+
+def test_embryo_guide_measures_a_folder(tmp_path, monkeypatch, capsys):
+    """One image of two is none of an embryo: it costs its row, and its reason is kept."""
+    (tmp_path / "plate").mkdir()
+    scales = copy_input("embryo", tmp_path / "mine.png")
+    copy_input("embryo", tmp_path / "plate" / "a.png")
+    tifffile.imwrite(tmp_path / "plate" / "c.tif", np.full((90, 120), 70, np.uint8))
+    monkeypatch.chdir(tmp_path)
+    run_here("embryo", photograph="mine.png", more="plate/*", **scales)
+    assert {path.name for path in Path("kept").iterdir()} == LEAVES["embryo"] | {"moduli.csv"}
+    table = pd.read_csv("kept/moduli.csv").sort_values("file", ignore_index=True)
+    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
+    alone = pd.read_csv("kept/modulus.csv", index_col=0)["value"]
+    assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
+    assert table["error"][1].startswith("ValueError: ")
     text = capsys.readouterr().out
-    assert f"{mine}, your own" in text
-    if guide == "embryo":
-        check_embryo(tmp_path / "kept")
-        assert "2 images, 1 of them without a modulus" in text
-        assert "c.tif: ValueError: " in text
-    if guide not in RENDERED:
-        assert f"The true values of {mine} are not known" in text
+    assert "2 images, 1 of them without a modulus" in text
+    assert "c.tif: ValueError: " in text
 
 
 #: The cell of each guide that measures a folder of files, and an input to put there.
@@ -249,13 +238,6 @@ def test_folder_recipe_writes_one_row_per_file(
     assert {path.name for path in tmp_path.glob("*.csv")} == {Path(names["table"]).name}
 
 
-#: What stands for the files that the printed commands name.
-FILES = {
-    "calibration": ("circles.png", "mine.png"), "embryo": ("embryo.png", "mine.png"),
-    "focus_stack": ("focal_stack.tif", "mine.tif"), "modulus": ("outline.csv", "mine.csv"),
-}  # fmt: skip
-
-
 def printed_commands() -> list[tuple[str, list[str]]]:
     """Return the arguments of each command that a guide prints."""
     found = []
@@ -268,9 +250,9 @@ def printed_commands() -> list[tuple[str, list[str]]]:
 
 def write_inputs(guide: str) -> None:
     """Write the files that the command of a guide names."""
-    if guide in FILES:
-        name, mine = FILES[guide]
-        shutil.copy(FOLDER / name, mine)
+    if guide in GUIDES and guide != "tracking":
+        name = RENDERED.get(guide, GUIDES[guide][1])
+        shutil.copy(FOLDER / name, f"mine{Path(name).suffix}")
     elif guide == "tracking":  # a texture of 400 × 300 px that moves by half a pixel a frame
         size = (400, 300)
         film = cv2.VideoWriter("my_film.mp4", cv2.VideoWriter.fourcc(*"mp4v"), 33.0, size)
@@ -287,16 +269,22 @@ def write_inputs(guide: str) -> None:
 
 
 @pytest.mark.parametrize(("guide", "words"), printed_commands())
-def test_printed_command_of_guide_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, words: list[str]
-) -> None:
+def test_printed_command_of_guide_runs(tmp_path, monkeypatch, capsys, guide, words):
     monkeypatch.chdir(tmp_path)
     write_inputs(guide)
     options = run.parse(words)
     (name,) = run.choose(options.names)
     values = read_values(ROOT / "notebooks" / f"{name}.ipynb", options.own)
     run_here(guide, **values)
-    assert list(Path(str(values["out"])).glob("*.csv"))
+    out = Path(str(values["out"]))
+    assert list(out.glob("*.csv"))
+    parameter = GUIDES.get(guide, ("",))[0]
+    if mine := values.get(parameter):
+        assert {path.name for path in out.iterdir()} == LEAVES[guide]
+        text = capsys.readouterr().out
+        assert f"{mine}, your own" in text
+        if guide not in RENDERED:
+            assert f"The true values of {mine} are not known" in text
 
 
 def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(
