@@ -37,8 +37,6 @@ def test_sensitivities_are_those_of_the_closed_form() -> None:
         # With the input's own value as its standard deviation, that of E is E times the exponent.
         assert abs(by) == pytest.approx(modulus_std(values, {name: values[name]}) / modulus, 1e-5)
     assert set(found) == set(values) - {"poisson_ratio"}
-    # E is a force over an area, whatever the formula.
-    assert sum(found.values()) - found["force"] == pytest.approx(-2, abs=1e-7)
 
 
 @pytest.mark.parametrize("std", [0.05, 0.1, 0.2, 1.0])
@@ -47,11 +45,3 @@ def test_the_power_is_that_of_drawn_comparisons(std: float) -> None:
     differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
     # Four standard errors of a share of 100 000.
     assert float(chapter_6.power(std)) == pytest.approx(differ.mean(), abs=0.0065)
-
-
-@pytest.mark.parametrize("ratio", [1.1, 1.66, 3.0])
-def test_the_needed_precision_has_the_power_that_is_asked_for(ratio: float) -> None:
-    std = chapter_6.needed_std(ratio)
-    assert float(chapter_6.power(std, ratio)) == pytest.approx(0.95, abs=1e-6)
-    # 1.96 + 1.645 of the difference's standard deviation.
-    assert np.log(ratio) / std / np.sqrt(2) == pytest.approx(3.6048, abs=1e-4)

@@ -263,18 +263,12 @@ def test_every_claim_fails_for_some_planted_number(claim: ledger.Claim) -> None:
 
 def test_causes_and_claims_correspond() -> None:
     assert {claim.cause for claim in CLAIMS} - {""} == set(ledger.causes())
-    assert all({"title", "text"} <= set(cause) for cause in ledger.causes().values())
 
 
-def test_errata_have_all_fields() -> None:
+def test_errata_name_existing_claims_and_tests() -> None:
     for name, entry in ledger.errata().items():
-        keys = {"title", "where", "printed", "corrected", "origin", "proof", "test"}
-        assert set(entry) - {"claims", "reading", "reaches"} == keys, name
         assert ("reading" in entry) == (entry["origin"] == "A matter of reading"), name
-        assert re.fullmatch("“.+”", entry["printed"]), name
         assert all(id in ledger.claims() for id in entry.get("claims", "").split()), name
         assert (ROOT / entry["test"]).is_file(), name
     origins = {"Certain", "Probably printing or text recognition", "A matter of reading"}
     assert {entry["origin"] for entry in ledger.errata().values()} == origins
-    titles = [entry["title"] for entry in ledger.errata().values()]
-    assert len(set(titles)) == len(titles)

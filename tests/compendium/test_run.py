@@ -291,9 +291,7 @@ def test_second_run_waits_for_lock(project: Path) -> None:
     [
         (["7"], 1, "No notebook is called 7; there are 01_first, 06_last."),
         (["-p", "seed", "1"], 1, "-p needs one notebook, got 01_first, 06_last."),
-        (["01", "-p", "width", "x"], 1, "width must be a finite number, got x"),
         (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
-        (["01", "--output", "a", "-p", "zz", "1"], 1, "01_first has no parameter zz; it has "),
         (["-p", "width", "x", "--output", "a", "01"], 1, "width must be a finite number, got x"),
         (
             ["01", "-p", "width", "1", "-p", "width", "2"],
