@@ -39,7 +39,7 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
                 where = (f"notebooks/{path.stem}", f"section-{number}")
                 add(number, "section", f"Section {number} {title}", *where)
     for item in read_map().values():
-        if item.id in places:
+        if item.id in places and item.kind != "section":  # listed by their headings above
             stem, anchor = places[item.id]
             text = f"{item.kind.capitalize()} {item.shown}: {item.what}"
             add(item.number, item.kind, text, f"notebooks/{stem}", anchor)

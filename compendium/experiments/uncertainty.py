@@ -73,11 +73,11 @@ def focal_stacks(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     yield "slope", slope, np.stack(frames)
     codes = [cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 80])[1] for frame in frames]
     coded = np.stack([np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)) for code in codes])
-    yield "slope, JPEG of quality 80", slope, coded
+    yield "slope, JPEG", slope, coded
     # A focus ring: blur grows as |1/a − 1/b|, faster on the near side.
     blurs = [12 * abs(1 / (6 + k) - 1 / 16.3) * 16 for k in positions]
     ring = np.stack([expose(disc_blur(texture, blur), rng) for blur in blurs])
-    yield "plane, focus ring", np.full((SIDE, SIDE), 10.3), ring
+    yield "focus ring", np.full((SIDE, SIDE), 10.3), ring
     near = x + 0.13 * y > 0.05
     step = []
     for position in positions:

@@ -294,6 +294,8 @@ def membrane_stress(
 ) -> Array:
     r"""Uniform stress of the dimple's membrane, equation (4.3) solved for :math:`\sigma_d`.
 
+    With this stress the membrane and the pressure balance the force on every circle (4.1).
+
     .. math:: \sigma_d = -\frac{F}{4\pi h w_d}\left[1-\zeta^2+\ln\zeta^2\right]
 
     Parameters
