@@ -552,8 +552,7 @@ def test_unusual_scale_gives_a_note(name, value):
         ("10", "µN", 10.0), ("10uN", "µN", 10.0), ("1e4 nN", "µN", 10.0), ("10e-6N", "µN", 10.0),
         ("0,01mm/px", "µm/px", 10.0), ("12cm", "µm", 120000.0),
         ("0,25", "µm", 0.25), ("12,5mm", "µm", 12500.0), ("0,125", "µm", 0.125),
-        ("1,500.0", "µm", 1500.0), ("1,234,567", "µm", 1234567.0), ("-1,25", "µm", -1.25),
-        ("1.500", "µm", 1.5),
+        ("-1,25", "µm", -1.25), ("1.500", "µm", 1.5),
     ],
 )  # fmt: skip
 def test_number_can_have_a_unit_and_a_comma(text, unit, number):
@@ -564,7 +563,7 @@ def test_number_can_have_a_unit_and_a_comma(text, unit, number):
     ("text", "readings"),
     [
         ("126,000", "126,000 can be 126000 or 126.000"), ("1,500", "1,500 can be 1500 or 1.500"),
-        ("-1,500", ""), ("126.000,5", ""), ("1,23,456", ""),
+        ("-1,500", ""), ("126.000,5", ""), ("1,23,456", ""), ("1,500.0", ""), ("1,234,567", ""),
     ],
 )  # fmt: skip
 def test_ambiguous_comma_is_rejected(text, readings, capsys):

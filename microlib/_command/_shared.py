@@ -53,24 +53,20 @@ def _quantity(unit: str) -> Callable[[str], float]:
 
     def read(text: str) -> float:
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
-        number = plain_number(text[: own.start() if own else None])
+        number = _plain_number(text[: own.start() if own else None])
         return number * _PREFIXES[own[1]] if own else number
 
     read.__name__ = f"number in {unit}"  # as argparse calls it
     return read
 
 
-class AmbiguousNumberError(argparse.ArgumentTypeError, ValueError):
-    """A comma that can separate decimals or thousands; argparse prints the message."""
-
-
-def plain_number(text: str) -> float:
+def _plain_number(text: str) -> float:
     """Return a number with a decimal point or comma; reject one such as 126,000."""
-    plain, decimal = text.replace(",", ""), text.replace(",", ".")
-    thousands = re.fullmatch(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?", text)
-    if thousands and text.count(",") == 1 and not thousands[2]:
-        raise AmbiguousNumberError(f"{text} can be {plain} or {decimal}: write one of them")
-    return float(plain if thousands else decimal)
+    decimal = text.replace(",", ".")
+    if re.fullmatch(r"\s*[+-]?[1-9]\d{0,2},\d{3}", text):
+        plain = text.replace(",", "")
+        raise argparse.ArgumentTypeError(f"{text} can be {plain} or {decimal}: write one of them")
+    return float(decimal)
 
 
 def resolve_scales(

@@ -59,11 +59,10 @@ def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
     size = _square(x, y, name)
     if not len(z) == count > 1 or not ((gaps > 0).all() or (gaps < 0).all()):
         return size, _even_positions(step, count)
-    apart, used = abs(gaps.mean()), "former" if named else "latter"
+    apart = abs(gaps.mean())
+    unit, used = ("µm", "former") if named else ("(no unit)", "latter")
     if abs(apart - step) > 0.1 * step:
-        both = (
-            f"planes {apart:g} {'µm' if named else '(no unit)'} apart and a spacing of {step:g} µm"
-        )
+        both = f"planes {apart:g} {unit} apart and a spacing of {step:g} µm"
         warnings.warn(f"{name} has {both}: the {used} is used", stacklevel=2)
     return size, z if named else _even_positions(step, count)
 
