@@ -18,7 +18,7 @@ from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 from microlib.calibration.detection._shapes import are_round
 
-WIDTH, HEIGHT, FINE = 320, 240, 8
+SHAPE, FINE = (240, 320), 8
 HEX = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
 #: Places of a 7×5 grid, of a hexagonal one and of an asymmetric one, in pitches.
 SQUARE = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
@@ -34,15 +34,17 @@ def outline(kind: str, size: float) -> np.ndarray:
     return size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
 
 
-def camera(points: np.ndarray, pitch: float, turn: float, k1: float) -> np.ndarray:
+def camera(
+    points: np.ndarray, pitch: float, turn: float, k1: float, shape: tuple[int, int] = SHAPE
+) -> np.ndarray:
     """Points of the pattern, in pitches from its middle, as they are seen, px."""
-    cos, sin = np.cos(turn), np.sin(turn)
+    (height, width), cos, sin = shape, np.cos(turn), np.sin(turn)
     homography = np.array(
         [[pitch * cos, -pitch * sin, 0], [pitch * sin, pitch * cos, 0], [4e-3, -3e-3, 1]]
     )
-    seen = cv2.perspectiveTransform(points.reshape(1, -1, 2), homography)[0] / (WIDTH / 2)
+    seen = cv2.perspectiveTransform(points.reshape(1, -1, 2), homography)[0] / (width / 2)
     seen = seen * (1 + k1 * (seen**2).sum(axis=1, keepdims=True))
-    return (seen * WIDTH / 2 + [WIDTH / 2 + 3.3, HEIGHT / 2 - 2.1]).reshape(points.shape)
+    return (seen * width / 2 + [width / 2 + 3.3, height / 2 - 2.1]).reshape(points.shape)
 
 
 def board(
@@ -58,40 +60,43 @@ def board(
     ink: float = 50.0,
     paper: float = 200.0,
     behind: np.ndarray | None = None,
+    shape: tuple[int, int] = SHAPE,
     seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A photograph and the true points: centers of circles, corners of squares."""
     middle = (places.max(axis=0) + places.min(axis=0)) / 2
     shapes = (places - middle)[:, None] + outline(kind, size)
     dense = shapes if kind == "circle" else subdivided(shapes)
-    covered = covering(camera(dense, pitch, turn, k1))
-    ground = np.full((HEIGHT, WIDTH), paper)
+    lens = (pitch, turn, k1, shape)
+    covered = covering(camera(dense, *lens), shape)
+    ground = np.full(shape, paper)
     if behind is not None:
         low, high = middle - places.max(axis=0) - 0.6, places.max(axis=0) - middle + 0.6
-        frame = camera(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]), pitch, turn, k1)
-        ground = cv2.resize(behind, (WIDTH, HEIGHT)).astype(float)
+        frame = camera(np.array([low, [high[0], low[1]], high, [low[0], high[1]]]), *lens)
+        ground = cv2.resize(behind, shape[::-1]).astype(float)
         cv2.fillPoly(ground, [np.round(frame).astype(np.int32)], paper)
     image = cv2.GaussianBlur(ground + (ink - paper) * covered, (0, 0), blur)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape)
     marks = (places - middle)[:, None] if kind == "circle" else shapes
-    truth = camera(marks, pitch, turn, k1).reshape(-1, 2)
+    truth = camera(marks, *lens).reshape(-1, 2)
     return np.clip(np.round(image), 0, 255).astype(np.uint8), truth
 
 
-def covering(shapes: np.ndarray) -> np.ndarray:
+def covering(shapes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """The share of each pixel that polygons cover: along rows an eighth of a pixel apart, exact."""
+    height, width = shape
     first, second = (np.reshape(each, (-1, 2)) for each in (shapes, np.roll(shapes, -1, axis=1)))
-    rows = ((np.arange(HEIGHT * FINE) + 0.5) / FINE - 0.5)[:, None]
+    rows = ((np.arange(height * FINE) + 0.5) / FINE - 0.5)[:, None]
     down = (first[:, 1] <= rows).astype(int) - (second[:, 1] <= rows)  # where an edge passes a row
     row, edge = np.nonzero(down)
     (x, y), (along, drop) = first[edge].T, (second - first)[edge].T
-    place = np.clip(x + (rows[row, 0] - y) * along / drop + 0.5, 0, WIDTH)
+    place = np.clip(x + (rows[row, 0] - y) * along / drop + 0.5, 0, width)
     column, part = np.divmod(place, 1)
-    begun = np.zeros((HEIGHT * FINE, WIDTH + 2))
+    begun = np.zeros((height * FINE, width + 2))
     for aside, share in ((0, 1 - part), (1, part)):
         np.add.at(begun, (row, column.astype(int) + aside), share * down[row, edge])
     # A turn the other way round counts the other way.
-    return abs(begun.cumsum(axis=1)[:, :WIDTH]).reshape(HEIGHT, FINE, WIDTH).mean(axis=1)
+    return abs(begun.cumsum(axis=1)[:, :width]).reshape(height, FINE, width).mean(axis=1)
 
 
 def subdivided(shapes: np.ndarray) -> np.ndarray:
@@ -100,6 +105,16 @@ def subdivided(shapes: np.ndarray) -> np.ndarray:
     return (shapes[:, :, None] * (1 - part) + following[:, :, None] * part).reshape(
         len(shapes), -1, 2
     )
+
+
+def chessboard(columns=8, rows=6, **change):
+    """A board of so many fields, and its inner corners in fields and as they are seen, px."""
+    settings = {"pitch": 30.0, "turn": 0.15, "k1": 0.02, "shape": SHAPE} | change
+    every = np.argwhere(np.ones((columns, rows))).astype(float)
+    image, _ = board(every[every.sum(axis=1) % 2 == 0], "square", 1.0, **settings)
+    corners = np.argwhere(np.ones((columns - 1, rows - 1))) + 0.5
+    lens = (settings[name] for name in ("pitch", "turn", "k1", "shape"))
+    return image, corners, camera(corners - [(columns - 1) / 2, (rows - 1) / 2], *lens)
 
 
 def beside(found, truth: np.ndarray) -> np.ndarray:
@@ -222,8 +237,7 @@ def test_rectangles_are_rejected():
         detect_squares(board(SQUARE * [1.0, 1.3], "square", 0.5, pitch=26.0)[0])
 
 
-FIELDS = np.array([[i, j] for i in range(8) for j in range(6) if (i + j) % 2 == 0], dtype=float)
-RULED = np.where(np.abs(np.arange(WIDTH) % 14 - 5) < 3, 60.0, 190.0) * np.ones((HEIGHT, 1))
+RULED = np.where(np.abs(np.arange(320) % 14 - 5) < 3, 60.0, 190.0) * np.ones((240, 1))
 DETECTORS = {
     "circles": detect_circles,
     "hexagonal": partial(detect_circles, lattice="hexagonal"),
@@ -240,8 +254,7 @@ DETECTORS = {
         ("circles", board(SQUARE)[0]),
         ("hexagonal", board(HEXAGONAL, pitch=32.0)[0]),
         ("squares", board(SQUARE, "square", 0.5, ink=200.0, paper=50.0)[0]),
-        ("chessboard", board(FIELDS, "square", 1.0, pitch=30.0, blur=0.7)[0]),
-        ("chessboard", board(FIELDS, "square", 1.0, pitch=30.0, turn=0.5, blur=2.0)[0]),
+        ("chessboard", chessboard(blur=0.7)[0]),
         ("scale", cv2.GaussianBlur(RULED, (0, 0), 1.0)),
     ],
 )
@@ -289,19 +302,16 @@ def test_four_circles_are_rejected_in_clutter_only():
         detect_circles(board(four, behind=skimage.data.camera())[0])
 
 
-@pytest.mark.parametrize("detect", [detect_circles, detect_squares])
-@pytest.mark.parametrize("seed", range(3))
-def test_randomly_placed_marks_are_rejected(detect, seed):
-    rng = np.random.default_rng(seed)
-    image = np.full((HEIGHT, WIDTH), 200, np.uint8)
-    for x, y in rng.uniform([10, 10], [WIDTH - 10, HEIGHT - 10], (60, 2)).astype(int):
-        if image[y - 9 : y + 10, x - 9 : x + 10].min() == 200:
-            if detect is detect_circles:
-                cv2.circle(image, (int(x), int(y)), 6, 50, -1, cv2.LINE_AA)
-            else:
-                cv2.rectangle(image, (int(x) - 6, int(y) - 6), (int(x) + 6, int(y) + 6), 50, -1)
+@pytest.mark.parametrize("kind", ["circle", "square"])
+@pytest.mark.parametrize("seed", range(2))
+def test_randomly_placed_marks_are_rejected(kind, seed):
+    places = np.random.default_rng(seed).uniform([0, 0], [8.5, 6.0], (60, 2))
+    apart = [
+        k for k in range(60) if np.linalg.norm(places[:k] - places[k], axis=1).min(initial=9) > 0.6
+    ]
+    image, _ = board(places[apart], kind, 0.18 if kind == "circle" else 0.36)
     with pytest.raises(ValueError, match="image"):
-        detect(cv2.GaussianBlur(image, (0, 0), 1.0))
+        (detect_circles if kind == "circle" else detect_squares)(image)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -367,17 +377,6 @@ def test_displaced_mark_outside_the_grid_is_an_outlier(kind, size):
 
 # Chessboards
 
-CORNERS = np.stack(np.meshgrid(np.arange(7.0), np.arange(5.0)), axis=-1).reshape(-1, 2) + 0.5
-
-
-def chessboard(**change):
-    """A board of 8×6 fields and its inner corners."""
-    settings = {"pitch": 30.0, "turn": 0.15, "k1": 0.02} | change
-    image, _ = board(FIELDS, "square", 1.0, **settings)
-    middle = (FIELDS.max(axis=0) + FIELDS.min(axis=0)) / 2
-    lens = {name: settings[name] for name in ("pitch", "turn", "k1")}
-    return image, camera(CORNERS - middle, **lens)
-
 
 @pytest.mark.parametrize(
     "change",
@@ -389,17 +388,27 @@ def chessboard(**change):
         {"k1": -0.05},
         {"ink": 200.0, "paper": 50.0},
         {"behind": skimage.data.camera()},
+        # Here OpenCV's finder gave steps of (2, 1) and (0, 1) fields.
+        {"columns": 16, "rows": 12, "pitch": 26.0, "turn": 0.0, "shape": (480, 640)},
+        {"columns": 40, "rows": 28, "pitch": 20.0, "shape": (700, 900)},
+        {"columns": 3, "rows": 3, "pitch": 60.0},
+        {"columns": 12, "rows": 4, "pitch": 25.0, "k1": -0.15},
+        {"columns": 12, "rows": 9, "pitch": 45.0, "turn": 0.3},
     ],
-    ids=["plain", "blurred", "noisy", "turned", "barrel", "negative", "clutter"],
-)
+    ids=[
+        "plain", "blurred", "noisy", "turned", "barrel", "negative", "clutter", "untilted",
+        "many fields", "four corners", "few rows", "cropped",
+    ],
+)  # fmt: skip
 def test_all_inner_corners_of_a_chessboard_are_detected(change):
-    image, truth = chessboard(**change)
+    image, corners, truth = chessboard(**change)
     found = detect_squares(image, pattern="chessboard")
-    assert len(found.points) == len(truth)
+    whole = ((truth > 10) & (truth < np.array(image.shape[::-1]) - 10)).all(axis=1)
+    assert whole.sum() <= len(found.points) <= len(truth)
     assert np.abs(beside(found, truth)).max() < 0.2
     # 35 corners tell the ratio to 8 %; edges bent by the distortion are taken as straight.
-    assert 0.6 < held(found, truth) < 1.6
-    seen = CORNERS[cKDTree(truth).query(found.points)[1]]
+    assert len(truth) < 35 or 0.6 < held(found, truth) < 1.6
+    seen = corners[cKDTree(truth).query(found.points)[1]]
     np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
     np.testing.assert_array_equal(found.positions, found.grid)
 
@@ -407,7 +416,7 @@ def test_all_inner_corners_of_a_chessboard_are_detected(change):
 @pytest.mark.parametrize(
     ("name", "image"),
     [
-        ("chessboard", board(FIELDS, "square", 1.0, pitch=30.0)[0]),
+        ("chessboard", chessboard()[0]),
         ("squares", board(SQUARE, "square", 0.5)[0]),
         ("circles, square lattice", board(SQUARE)[0]),
         ("circles, hexagonal lattice", board(HEXAGONAL, pitch=32.0)[0]),
@@ -421,69 +430,11 @@ def test_detect_pattern_names_the_pattern(name, image):
         detect_pattern(image, "squares" if name != "squares" else "circles")
 
 
-# Boards of many fields
-
-
-def many_fields(
-    columns, rows, side, *, turn=0.1, size=(900, 700), at=(450.0, 350.0), tilt=0.0, k=0.0
-):
-    """A board drawn by the color of the field behind each pixel, and the fields' coordinates."""
-    y, x = np.mgrid[: size[1], : size[0]].astype(float)
-    x, y = x - at[0], y - at[1]
-    factor = 1 + k * (x * x + y * y) / (size[0] / 2) ** 2
-    x, y = x * factor, y * factor
-    depth = 1 - tilt * x / side
-    u = (np.cos(turn) * x + np.sin(turn) * y) / side / depth + columns / 2
-    v = (np.cos(turn) * y - np.sin(turn) * x) / side / depth + rows / 2
-    inside = (u > 0) & (u < columns) & (v > 0) & (v < rows)
-    color = np.where((np.floor(u) + np.floor(v)) % 2, 200.0, 30.0)
-    image = cv2.GaussianBlur(np.where(inside, color, 115.0), (0, 0), 1.0)
-    image = image + np.random.default_rng(0).normal(0, 2, image.shape)
-    return np.clip(np.round(image), 0, 255).astype(np.uint8), np.stack([u, v], axis=-1)
-
-
-def field_steps(found, fields):
-    """The steps of a detection in fields, and how far its corners are from those, in fields."""
-    at = found.points.astype(np.float32)[None]
-    corner = cv2.remap(fields.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0]
-    counted = np.column_stack([found.grid, np.ones(len(found.grid))])
-    steps = np.linalg.lstsq(counted, np.round(corner))[0]
-    return steps[:2], np.abs(counted @ steps - corner).max()
-
-
-@pytest.mark.parametrize(
-    ("columns", "rows", "side", "change"),
-    [
-        (16, 12, 26.0, {"turn": 0.0, "size": (1280, 960), "at": (640.0, 480.0)}),
-        (40, 28, 20.0, {}),
-        (30, 9, 26.0, {"tilt": 0.003}),
-        (3, 3, 90.0, {}),
-        (12, 4, 50.0, {"k": 0.2}),
-    ],
-)
-def test_grid_steps_of_large_boards_are_single_fields(columns, rows, side, change):
-    """On the first OpenCV's finder gave steps of (2, 1) and (0, 1) fields."""
-    image, fields = many_fields(columns, rows, side, **change)
-    found = detect_squares(image, pattern="chessboard")
-    steps, off = field_steps(found, fields)
-    np.testing.assert_allclose(np.sort(np.abs(steps)), [[0, 1], [0, 1]], atol=1e-6)
-    assert off * side < 0.6  # edges are drawn to a pixel
-    assert len(found.points) >= 0.95 * (columns - 1) * (rows - 1)
-
-
-def test_corners_of_a_cropped_board_are_kept():
-    image, fields = many_fields(12, 9, 90.0, turn=0.3)
-    found = detect_squares(image, pattern="chessboard")
-    assert len(found.points) > 40
-    assert field_steps(found, fields)[1] < 0.02
-
-
 def test_detection_is_independent_of_earlier_images():
-    image, _ = many_fields(20, 14, 30.0)
+    image, _, _ = chessboard()
     first = detect_squares(image, pattern="chessboard")
-    for seed in range(10):
-        other, _ = many_fields(10 + seed, 8, 30.0, turn=0.05 * seed, size=(640, 480), at=(320, 240))
-        detect_squares(other, pattern="chessboard")
+    for turn in (0.5, 0.9, 1.3):
+        detect_squares(chessboard(columns=6, turn=turn)[0], pattern="chessboard")
     again = detect_squares(image, pattern="chessboard")
     np.testing.assert_array_equal(again.grid, first.grid)
     np.testing.assert_allclose(again.points, first.points, atol=1e-9)
@@ -491,7 +442,7 @@ def test_detection_is_independent_of_earlier_images():
 
 def test_corners_of_a_sharpened_image_are_detected():
     """Cameras sharpen: an edge then is narrower than a pixel, where the model had no derivative."""
-    image, truth = chessboard(blur=0.5)
+    image, _, truth = chessboard(blur=0.5)
     sharp = image + 0.7 * (image.astype(float) - cv2.GaussianBlur(image, (0, 0), 1.0))
     found = detect_squares(np.clip(sharp, 0, 255), pattern="chessboard")
     assert len(found.points) == len(truth)

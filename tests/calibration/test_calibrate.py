@@ -46,6 +46,13 @@ def grid_in_view(scope, pitch=280.0):
     return world[((seen > 5) & (seen < [650, 485])).all(axis=1)]
 
 
+def tilted_views():
+    """Three views of a plane, its points in µm, and where they are seen exactly, px."""
+    scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10), (4, -14))]
+    world = [grid_in_view(scope) for scope in scopes]
+    return scopes, world, [s.project(w) for s, w in zip(scopes, world, strict=True)]
+
+
 def truth_of(scope, names):
     return np.array([getattr(scope, name) for name in names])
 
@@ -220,10 +227,8 @@ def test_rounding_does_not_change_undetermined_parameters():
 
 
 def test_rounding_does_not_add_lens_parameters():
-    scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10), (4, -14))]
-    world = [grid_in_view(scope) for scope in scopes]
+    _, world, exact = tilted_views()
     rng = np.random.default_rng(0)
-    exact = [scope.project(points) for scope, points in zip(scopes, world, strict=True)]
     for seen in zip(*(disturbed(points, rng) for points in exact), strict=True):
         found = calibrate(world, seen, **SENSOR)
         assert len(found.parameters) == 2 + 3 * 6
@@ -507,14 +512,11 @@ def test_several_views_agree_with_opencv():
 
 
 def test_bic_leaves_out_needless_lens_parameters():
-    scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10), (4, -14))]
-    world = [grid_in_view(scope) for scope in scopes]
+    _, world, exact = tilted_views()
     left_out = 0
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        image = [
-            s.project(w) + rng.normal(0, NOISE, w.shape) for s, w in zip(scopes, world, strict=True)
-        ]
+        image = [points + rng.normal(0, NOISE, points.shape) for points in exact]
         found = calibrate(world, image, **SENSOR)
         left_out += len(found.parameters) == 2 + 3 * 6
     assert left_out >= 4
@@ -562,9 +564,7 @@ def test_intervals_of_several_views_cover_for_an_imprecise_pattern():
 
 
 def test_given_focal_length_is_kept_in_every_view():
-    scopes = [scope_with(beta=b, gamma=c) for b, c in ((12, 3), (-5, 10))]
-    world = [grid_in_view(scope) for scope in scopes]
-    image = [s.project(w) for s, w in zip(scopes, world, strict=True)]
+    scopes, world, image = tilted_views()
     found = calibrate(world, image, focal_length=F, **SENSOR)
     for scope, view in zip(scopes, found.views, strict=True):
         assert view.focal_length == F
