@@ -94,17 +94,8 @@ def test_without_probe_matches_image_rendered_without_probe(scene, boundary):
     assert np.abs(off[bar]).max() < 3
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda image: image.astype(np.uint16) * 257,
-        lambda image: image / 255.0,
-        lambda image: image * 0.5 + 10.0,
-    ],
-    ids=["16 bit", "0 to 1", "dimmer"],
-)
-def test_outline_does_not_depend_on_grey_scale(scene, boundary, change):
-    other = extract_boundary(change(scene.image))
+def test_outline_does_not_depend_on_black_level(scene, boundary):
+    other = extract_boundary(scene.image * 0.5 + 10.0)
     np.testing.assert_array_equal(other.under_probe, boundary.under_probe)
     # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
     # polished to about 1e-3 px.
@@ -335,10 +326,8 @@ SPOILED = {
         lambda: (image() * 16 * 1.4).clip(0, 4095).astype(np.uint16),
         "not be saturated",
     ),
-    "saturated 0 to 1": (lambda: (image() / 255 * 1.4).clip(0, 1), "not be saturated"),
     "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),
     "stack": (lambda: np.stack([image()] * 5), "image must be a grey image"),
-    "NaN": (lambda: np.where(image() < 50, np.nan, image() * 1.0), "image must be finite"),
 }
 
 

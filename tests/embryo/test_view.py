@@ -5,28 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microlib.embryo._view import DIRECTIONS, View
-
-IMAGE = np.arange(7.0 * 9).reshape(7, 9)
-
-
-@pytest.mark.parametrize("direction", DIRECTIONS)
-def test_points_of_rotated_image_map_to_pixels_of_image(direction: str) -> None:
-    view = View((9, 7), direction)
-    part = view.rotate(IMAGE)
-    rows, columns = np.indices(part.shape)
-    points = view.to_image(np.column_stack([columns.ravel(), rows.ravel()]))
-    x, y = np.rint(points).astype(int).T
-    np.testing.assert_array_equal(IMAGE[y, x], part.ravel())
-
-
-def test_named_edge_becomes_upper_edge() -> None:
-    edges = {
-        "top": IMAGE[0], "bottom": IMAGE[-1][::-1], "left": IMAGE[::-1, 0], "right": IMAGE[:, -1]
-    }  # fmt: skip
-    assert set(edges) == set(DIRECTIONS)
-    for direction, edge in edges.items():
-        np.testing.assert_array_equal(View((9, 7), direction).rotate(IMAGE)[0], edge)
+from microlib.embryo._view import View
 
 
 @pytest.mark.parametrize("direction", ["top", "right", "bottom", "left"])
