@@ -42,17 +42,6 @@ def test_invert_meridian_stress_inverts_tension_field_stress(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_modulus_is_one_at_small_strain(name: str) -> None:
-    law = constitutive_law(name, RATIOS[name])
-    small, nu = 1e-6, RATIOS[name]
-    # A strip that contracts freely across bears E e.
-    assert law.uniaxial_stress(np.array(1 + small)) / small == pytest.approx(1, rel=1e-5)
-    along, across = law.biaxial_stress(np.array(1 + small), np.array(1 - nu * small))
-    assert along / small == pytest.approx(1, rel=1e-5)
-    assert across / small == pytest.approx(0, abs=1e-5)
-
-
-@pytest.mark.parametrize("name", RATIOS)
 def test_slack_membrane_has_no_stress(name: str) -> None:
     law = constitutive_law(name, RATIOS[name])
     stretch = np.array([0.7, 0.95]), np.array([0.9, 1.0])
