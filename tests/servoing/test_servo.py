@@ -224,8 +224,6 @@ def test_error_names_a_missing_device_method():
 def test_invalid_arguments_raise_before_any_move():
     scope = scope_of()
     for options, message in (
-        ({"travel": (1.0, 2.0, 3.0)}, "travel must have shape"),
-        ({"targets": np.zeros((2, 3))}, "targets must have shape"),
         ({"test_move": 500.0}, "test_move must be at most 396, got 500"),
         ({"test_move": 50.0, "step": 20.0}, "test_move must be at most 20, got 50"),
         ({"jacobian": np.ones((2, 2))}, "jacobian must have full rank"),

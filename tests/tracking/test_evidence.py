@@ -138,28 +138,6 @@ def test_template_of_any_size_is_found_or_lost_but_never_wrong(size, condition, 
     assert track.lost or np.abs(track.corners - corners - by).max() < 1.0
 
 
-@pytest.mark.parametrize("condition", ["clean", "glare"])
-def test_track_does_not_depend_on_dtype_and_memory_order(condition):
-    rng = default_rng(7)
-    first = scene(7)
-    second = spoil(translated(first, (2.4, 1.7)), condition, (72, 66, 50, 50), rng)
-    eight = [camera_frame(image, rng, noise=2.0) for image in (first, second)]
-    expected = ESMTracker(eight[0], BOX).track(eight[1])
-    assert not expected.lost
-    kinds = (
-        lambda image: image.astype(np.uint16) * 257,
-        lambda image: (image / 255).astype(np.float32),
-        lambda image: np.asfortranarray(image.astype(np.float64)),
-    )
-    for kind in kinds:
-        track = ESMTracker(kind(eight[0]), BOX).track(kind(eight[1]))
-        assert not track.lost
-        # The same numbers but for their scale: single precision, and what it decides on the way.
-        np.testing.assert_allclose(track.corners, expected.corners, atol=0.02)
-        limit = 0.1 * expected.covariance.trace() / 2
-        np.testing.assert_allclose(track.covariance, expected.covariance, atol=limit)
-
-
 def test_lost_template_is_found_anywhere_in_the_frame():
     rng = default_rng(3)
     texture = mixed_texture((50, 50), rng, scales=(1.5, 4.0), std=40.0)
