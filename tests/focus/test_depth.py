@@ -338,7 +338,7 @@ def test_more_than_256_frames_are_counted_right():
         ({"spacing": 1.0}, "positions and spacing must not both be given"),
         ({"positions": None, "spacing": 0}, "positions must rise or fall strictly"),
         ({"region": (0, 0, 20, 4)}, "region must lie in the image of"),
-        ({"reduce": 10}, "reduce must be at most the sides of frames"),
+        ({"reduce": 10}, "reduce must be at most 9, the smaller side, got 10"),
         ({"frames": (f for f in np.zeros((3, 9, 9)))}, "must be as many, got 3 and 4"),
         ({"frames": (f for f in np.zeros((6, 9, 9)))}, "must be as many, got more than 4 and 4"),
         ({"frames": (f for f in np.zeros((0, 9, 9)))}, "frames must hold"),
