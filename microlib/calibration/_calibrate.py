@@ -68,25 +68,24 @@ def calibrate(
         If shapes disagree, there are fewer than 5 points, points lie on one line or outside the
         image, or no microscope fits them.
 
-    Notes
-    -----
-    *Focal length.* Points of one plane depend on T_op + f and on f + d only. Perspective separates
-    the two, and its effect decreases with the tilt. The thesis therefore takes f from the
-    manufacturer and obtains d from (2.12), as the plane is in focus. Without `focal_length`, the
-    same condition leaves f as the one unknown length. If 1/f is less than four standard deviations
-    from zero, `undetermined` names f and the angles of the tilt.
+    Notes ----- *Focal length.* Of the three lengths, the image of a plane determines only T_op + f
+    and f + d. Perspective separates these two sums, and its effect decreases with the tilt. The
+    thesis therefore takes f from the manufacturer and computes d = f²/T_op (2.20), because the
+    plane is in focus. Without `focal_length`, the same condition leaves f as the one unknown
+    length. If 1/(T_op + f) is less than four standard deviations from zero, `undetermined` names f
+    and the angles of the tilt.
 
     *Uncertainty.* The covariance includes the image noise, the correlation of the points of a mark,
-    errors of the printed pattern that are common to all views, and the model discrepancy that a
-    lack-of-fit test finds in the residuals.
+    and errors of the printed pattern that are common to all views. If a lack-of-fit test of the
+    residuals has a p-value below 0.1, the covariance also includes the model discrepancy.
 
     *Several views* share T_op + f and the distortion. Each view has its own magnification and pose,
     whose names end in the number of the view from the second view on; f is that of the first view.
     A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴) and the principal point
     ("principal_x" and "principal_y", px from the middle of the image) are estimated if they lower
-    the Bayesian information criterion. The image of a point is then at u (1 + κ₂ r⁴) from the
-    principal point, where the model with κ alone has u. The principal point of a single view is the
-    middle of the image, as in the thesis.
+    the Bayesian information criterion. A point that the model with κ alone images at u, in µm from
+    the principal point, is then at u (1 + κ₂ r⁴) with r = |u|. The principal point of a single view
+    is the middle of the image, as in the thesis.
 
     *Sign of the tilt.* Tilts (β, γ) and (−β, −γ) give the same image except for perspective. Both
     are fitted. If the residuals do not separate them, `undetermined` names "beta" and "gamma".
@@ -167,7 +166,7 @@ def _checked_points(world: Any, image: Any, frame: Microscope) -> tuple[Array, A
 def _mark_numbers(views: Views, fit: Fit, marks: Array | None) -> NDArray[np.intp] | None:
     """Number of the mark of each point, None if all points are independent.
 
-    Points of several views belong to one mark if they have one place in the pattern. With fewer
+    Points of several views belong to one mark if they have one place in the pattern. With no more
     marks than parameters, the scatter of the marks gives no covariance.
     """
     if marks is None and len(views.world) > 1:

@@ -198,11 +198,11 @@ def covariance(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> tuple[
 def discrepancy_basis(points: Array, view: NDArray[np.intp]) -> Array:
     """Basis (2 N, k) of the model discrepancy: displacements of N points that vary smoothly.
 
-    Of one view they are orthogonal polynomials of both coordinates. Their lengths, the prior
-    standard deviations of the discrepancy, are 1, 1/3, 1/9 … by their degree, as the terms of a
-    lens and of a bent plate decrease: with equal lengths, the error of the focal length by a bend
-    is stated half as large. Of several views they are those that all views have in common and those
-    of each view, with the same length in a view. Views of fewer than 24 points have none.
+    For one view, the displacements are orthogonal polynomials of both coordinates. The norm of a
+    column, 3 to the power of minus its degree, is the prior standard deviation of its coefficient.
+    With equal norms, the stated error of the focal length under bending would be half as large. For
+    several views, the basis has one block that is common to all views and one block for each view.
+    A view of fewer than 24 points has no basis.
     """
 
     def smooth(points: Array) -> Array:
@@ -248,7 +248,7 @@ def lack_of_fit(
     # Undetermined parameters follow nothing.
     followed: Array = np.where(np.isfinite(inverse), inverse, 0.0) @ (jacobian.T @ basis)
     left = basis - jacobian @ followed
-    # The squares are quicker to decompose. A displacement is followed completely if 1e-4 of it is
+    # The squares are quicker to decompose. A displacement is absorbed if less than 1e-4 of it is
     # left, far above the root of the rounding error.
     squares, axes = np.linalg.eigh(left.T @ left)
     kept = squares > 1e-8

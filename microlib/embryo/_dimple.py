@@ -218,22 +218,23 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     Raises
     ------
     ValueError
-        If an argument is not positive, the probe has another width than the probe in the image, the
-        end of the probe is more than a third of the depth from the fitted bottom, or the root mean
-        square distance of the outline from (4.2) is more than a sixth of the depth.
+        If an argument is not positive, `probe_half_width` disagrees with the image, the end of the
+        probe is more than a third of the depth from the fitted bottom, the end of the probe is more
+        than c off the fitted axis, or the root mean square distance of the outline from the model
+        is more than a sixth of the depth.
 
     Notes
-    -----
-    The model is the profile (4.2) between probe and rim, and an arc of a circle beyond the rim on
-    each side. Position, tilt, radius, depth and two curvatures are fitted by weighted least squares
-    of the distances normal to the outline. Outliers beyond four standard deviations are removed
-    once. Points under the probe are not used: the depth is that of the flanks, extrapolated to
-    r = c.
+    ----- The model is the profile (4.2) between probe and rim, and an arc of a circle beyond the
+    rim on each side. Position, tilt, radius, depth and two curvatures are fitted by weighted least
+    squares of the distances normal to the outline. Outliers beyond four standard deviations are
+    removed once, if they are at most a quarter of the points. Points under the probe are not used:
+    the depth is that of the flanks, extrapolated to r = c.
 
     The covariance is scaled to the residuals and to their correlation along the outline, so that an
-    outline of another shape has a larger covariance. The distance between the end of the probe and
-    the fitted bottom, beyond an uncertainty of 1 px, is added to the standard deviation of the
-    depth. The covariance does not cover the error of (4.7) for a membrane of another kind.
+    outline of another shape has a larger covariance. The part of the distance between the end of
+    the probe and the fitted bottom that an uncertainty of 1 px does not explain is added in
+    quadrature to the standard deviation of the depth. The covariance does not cover the error of
+    (4.2) for a membrane of another kind.
 
     Examples
     --------

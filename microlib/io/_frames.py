@@ -51,8 +51,8 @@ def read_frames(
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
-        Number, from zero, of the channel, the time and the series of images to read, of a TIFF,
-        OME-Zarr or xarray.DataArray with more axes than one besides rows and columns.
+        Index, from zero, of the channel, the time or the series to read. They are needed for a
+        TIFF, an OME-Zarr or an xarray.DataArray with more than one axis besides rows and columns.
 
     Returns
     -------
@@ -61,9 +61,9 @@ def read_frames(
         and blue, of 8 or 16 bits or float32; other number types become float32. Frames of an array
         are views of it. Values are as stored: a TIFF in which zero is white is not inverted. The
         attributes `count`, `shape`, `dtype`, `color`, `axis`, `pixel_size` (µm/px), `positions`
-        (µm) and `files` are known before the frames are read; the first frame is decoded for
-        them. The frames can be read again, except those of an iterator. A reader of a reader
-        takes its part of the frames that the first one returns.
+        (µm) and `files` are known before the frames are read; the first frame is decoded for them.
+        The frames can be read again, except those of an iterator. If `frames` is a reader, the
+        options act on the frames of that reader.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def read_frames(
         more or fewer pages than its metadata describe. While the frames are read, if one is damaged
         or cut off, neither grey nor color, not finite, or of another size or type than the first,
         or if a film ends before the number of frames in its header. The message names the frame,
-        and the page or axes of a TIFF. The frames before are good.
+        and the page or axes of a TIFF. Frames that were read before the error are valid.
 
     Warns
     -----

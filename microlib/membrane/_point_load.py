@@ -32,11 +32,10 @@ class SmallSlopeWarning(UserWarning):
         Relative depth w_d/a above which the warning is given, 0.1.
 
     Notes
-    -----
-    At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain (4.4)
-    make the modulus 5 % too low for c/a = 0.1, 4 % for 0.2 and 11 % for 0.04. At w_d/a = 0.2 the
-    modulus is 20 % too low. `finite_slope_modulus` removes both approximations and keeps the
-    uniform stress. `disc_modulus` does not assume a uniform stress.
+    ----- At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain
+    (4.4) make the modulus 5 % too low for c/a = 0.1, 4 % for 0.2 and 11 % for 0.04. At w_d/a = 0.2
+    and c/a = 0.1 the modulus is 20 % too low. `finite_slope_modulus` removes both approximations
+    and keeps the uniform stress. `disc_modulus` does not assume a uniform stress.
     """
 
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
@@ -361,12 +360,11 @@ def mean_strain(
         If a length is not positive or `probe_half_width` is not below `dimple_radius`.
 
     Notes
-    -----
-    A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1, of
-    which (4.4) keeps the first term, θ²/2. Both strains use the profile (4.2). The ratio of the
-    exact strain to that of (4.5) is therefore the factor by which the approximation (4.4) alone
-    changes the modulus of (5.2). The exact strain is integrated numerically. Its error is that of
-    rounding for w_d/a up to 1.
+    ----- A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1,
+    of which (4.4) keeps the first term, (tan² θ)/2. Both strains use the profile (4.2). The ratio
+    of the exact strain to that of (4.5) is therefore the factor by which the approximation (4.4)
+    alone changes the modulus of (5.2). The exact strain is integrated numerically. Its error is
+    that of rounding for w_d/a up to 1.
 
     Examples
     --------
@@ -471,8 +469,9 @@ def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
             f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
-            "makes the modulus about 5 % too low or more (see finite_slope_modulus), and a stress "
-            "that varies along the radius gives another modulus at any depth (see disc_modulus)",
+            "makes the modulus 4 % to 11 % too low at w_d/a = 0.1 and more beyond (see "
+            "finite_slope_modulus); a stress that varies along the radius gives another modulus at "
+            "any depth (see disc_modulus)",
             SmallSlopeWarning,
             stacklevel=3,
         )

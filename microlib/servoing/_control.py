@@ -293,10 +293,11 @@ class OptimalController:
 class PredictiveController(OptimalController):
     """A controller that predicts over the delay of the loop.
 
-    It carries its own estimate of the feature from frame to frame with the commands that it gave,
-    corrects it by a share of what is measured, and applies (2.28) to where the feature will be, and
-    should be, once the command takes effect. Delay then costs no stability, noise is averaged, and
-    a lost frame is bridged.
+    The controller is a Smith predictor with an observer. It predicts the feature from frame to
+    frame with its own commands and corrects the prediction by a share of the innovation. Then it
+    applies (2.28) to the predicted feature and to the reference at the time when the command takes
+    effect. With an exact Jacobian the delay does not reduce the stability. Noise is averaged, and a
+    lost frame is bridged by the prediction.
 
     Parameters
     ----------
@@ -308,10 +309,10 @@ class PredictiveController(OptimalController):
         Largest speed of the stage, µm/s: the estimate follows the velocity that was executed.
     innovation_gain : float, optional
         Share of the innovation, the difference between measured and expected feature, that corrects
-        the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages
-        noise, a large one corrects sooner what a wrong Jacobian predicted. With a jitter of 0.15 px
-        and a Jacobian known to 1 % and 1° all from 0.2 to 0.6 keep within a fifth of the least mean
-        error on a path (benchmark of servoing, "Innovation gain").
+        the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages the noise.
+        A large share corrects the errors of a wrong Jacobian sooner. With a jitter of 0.15 px and a
+        Jacobian known to 1 % and 1°, the mean error on a path is within 20 % of the smallest one
+        for values from 0.2 to 0.6 (servoing benchmark, "Innovation gain").
 
     Raises
     ------

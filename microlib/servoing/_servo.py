@@ -91,12 +91,11 @@ def servo(
 ) -> ServoRun:
     """Bring a tracked feature to targets by moving the stage under the camera.
 
-    Without a Jacobian the stage first makes small test moves, out and back both ways along both
-    axes, and J with a drift is fitted to the measured features. Then the loop takes a frame,
-    measures, and moves to where the target is by J, until every target is reached. Each frame is
-    taken while the stage stands, so that delays do not matter. At the end (all targets reached, a
-    limit, a lost feature, a device that fails or hangs, or Ctrl-C) the stage is stopped and asked
-    whether it stands still.
+    Without a Jacobian, the stage first makes small test moves in ±x and ±y, and J and a drift are
+    fitted to the measured features. Then the loop takes a frame, measures, and moves to where the
+    target is by J, until every target is reached. Each frame is taken while the stage stands, so
+    that delays do not matter. At the end (all targets reached, a limit, a lost feature, a device
+    that fails or hangs, or Ctrl-C) the stage is stopped and asked whether it stands still.
 
     Parameters
     ----------
@@ -115,7 +114,7 @@ def servo(
         px/µm, for example of a run before; calibrated by default.
     test_move : float, optional
         Length of the test moves in µm; a tenth of the smaller travel by default. About 10 px in the
-        image are good: the error of J is that of the tracker over it.
+        image are good: the standard deviation of J is that of the tracker divided by the move.
     tolerance : float, optional
         A target is reached within this distance, px.
     step : float, optional
@@ -132,10 +131,10 @@ def servo(
     Returns
     -------
     ServoRun
-        ``log`` (a data frame, one row a frame), ``reached`` (N), ``reason`` (why it ended early, or
-        empty), ``still``, ``jacobian`` (2×2, px/µm), ``jacobian_covariance`` (4×4), ``drift`` (2,
-        px/s), ``misfit``, ``latency`` (s) and ``error``. A fault of a device or a lost
-        feature raises nothing: look at ``reached`` before you go on.
+        ``log`` (a data frame, one row a frame), ``reached`` (N booleans), ``reason`` (why it ended
+        early, or empty), ``still``, ``jacobian`` (2×2, px/µm), ``jacobian_covariance`` (4×4),
+        ``drift`` (2, px/s), ``misfit``, ``latency`` (s) and ``error``. A fault of a device or a
+        lost feature raises nothing: look at ``reached`` before you go on.
 
     Raises
     ------
@@ -146,12 +145,12 @@ def servo(
         its attribute ``run`` is the `ServoRun`.
 
     Notes
-    -----
-    A calibration is rejected if three standard deviations of J in its worst direction exceed half
-    of its least singular value: a step by such a J would remove less than half of the error. The
-    run also ends if the image fails three times in a row to follow the commands within half of the
-    move: a wrong Jacobian, a stuck or reversed axis, or a frozen frame. One or two failures may be
-    a wrong track and its correction.
+    ----- A calibration is rejected if three standard deviations of J in its worst direction exceed
+    half of its least singular value: a move computed from such a J could remove less than half of
+    the error. The run also ends if the motion in the image deviates from the commanded motion by
+    more than half of it, three times in a row. The cause may be a wrong Jacobian, a stuck or
+    reversed axis, or a frozen frame. One or two such deviations may be a wrong track and its
+    correction.
 
     The columns of the log are ``time_s`` from the first exposure; ``phase`` (start, calibration,
     servo, end); ``target``, its number, or −1; ``reference``, ``measured`` in px; ``lost``;

@@ -388,13 +388,13 @@ def embryo_image(
     rng : numpy.random.Generator or int
         Random generator of illumination, texture and noise, or its seed.
     pixel_size : float
-        Pixel in the object, in µm; by default that of the Sony XCD-X710CR (4.65 µm cells) behind
-        the magnification 1.2.
+        Pixel size in the object plane, in µm; by default that of the Sony XCD-X710CR (4.65 µm
+        cells) behind the magnification 1.2.
     shape : tuple of int
         Rows and columns of the image; by default that camera's.
     center : tuple of float, optional
-        Where the probe's axis crosses the height of the rim, (x, y) in px; by default the embryo is
-        in the middle of the image.
+        Point on the axis of the probe at the height of the rim, (x, y) in px; by default the embryo
+        is in the middle of the image.
     tilt : float
         Clockwise turn of the scene about `center`, in radians.
     blur : float
@@ -418,11 +418,10 @@ def embryo_image(
         If an argument is out of range.
 
     Notes
-    -----
-    The chorion is a dark line of its own thickness around a slightly darker fluid, as in
+    ----- The chorion is a dark line of its own thickness around a slightly darker fluid, as in
     transmitted light; each edge is drawn at its exact place and blurred by the point spread
-    function and the sensor's square pixels. Only the meridian is drawn. In a microscope, the near
-    part of the rim is out of focus in front of the dimple.
+    function and the sensor's square pixels. Only the meridian is drawn. Unlike in a real image, the
+    near part of the rim does not cover the dimple.
 
     Examples
     --------

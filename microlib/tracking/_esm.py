@@ -58,7 +58,8 @@ class Alignment:
         Derivatives of the grey values by the motion and the photometric parameters, of the last
         step.
     grey, residual, weight : ndarray, shape (H, W)
-        Image under the warp, its residual, and the weights of the pixels; empty after a failure.
+        Image under the warp before the last step, its residual, and the weights of the pixels;
+        empty after a failure.
     """
 
     pose: Array

@@ -28,21 +28,23 @@ class ESMTracker:
 
     1. Align from the expected pose by ESM with one gain and bias, smoothed in the template's
        coordinates and then at half pixels, which removes most of the error of bilinear
-       interpolation. Accepted if the blocks of the template agree to within the noise, which is
-       estimated from the frames. Else the alignment is continued with a photometric model: light
-       that varies smoothly, a blur, a tone curve, and Tukey's weights [3]_.
-    2. The same from where the points of the template flow to.
-    3. Of all these poses, those in which the blocks agree best are fitted with the photometric
-       model. The best of these fits and of those before has a probability of being right, which
-       depends on its score beside that of the second-best pose, on the points that stay there, on
-       the distance from the expected pose and on the uncertainty. A template
-       that was lost is searched in the whole frame, or where the Kalman filter expects it.
-    4. If it was found in the frame before: the same from distorted poses and from the peaks of the
-       normalized cross-correlation.
+       interpolation. The result is accepted if the blocks of the template agree to within the noise
+       of the first frame and the standard deviation of the corners is small. Otherwise the
+       alignment is continued with a photometric model: light that varies smoothly, blur, a tone
+       curve, and Tukey's weights [3]_.
+    2. Repeat step 1 from the pose that the optical flow of the template's points predicts.
+    3. Rank these poses by the agreement of their blocks, and fit the best ones with the photometric
+       model. A logistic regression gives the probability that the best fit is right. It depends on
+       the score of the fit and of the second-best pose, on the inlier ratio, on the distance from
+       the expected pose and on the uncertainty. A template that was lost is searched in the whole
+       frame, or near the prediction of the Kalman filter.
+    4. If the template was found in the previous frame, repeat step 3 from distorted poses and from
+       the peaks of the normalized cross-correlation.
 
-    Else it is lost. The probability is lower, and the template may count as lost, where something
-    identical was seen in the last frame. A periodic texture that moves by nearly a whole period
-    cannot be told from one at rest. Templates above 64 px are searched robustly on halved frames.
+    Otherwise the template is lost. A lookalike in the last frame lowers the probability, so the
+    template may count as lost. A periodic texture that moves by nearly a whole period cannot be
+    distinguished from one at rest. For templates above 64 px, the steps 3 and 4 use frames of half
+    the size. The method is ESM [1]_, [2]_.
 
     Parameters
     ----------

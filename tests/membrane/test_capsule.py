@@ -260,7 +260,7 @@ def test_solution_with_wrong_force_balance_raises(monkeypatch: pytest.MonkeyPatc
         return rates
 
     monkeypatch.setattr(CapsuleProblem, "right_hand_side", wrong)
-    with pytest.raises(ValueError, match="force must have an equilibrium"):
+    with pytest.raises(ValueError, match="force must let the solver converge"):
         indent_capsule(100.0, inflation=1.05, **CAPSULE)
 
 

@@ -68,7 +68,8 @@ def indent_capsule(
     Parameters
     ----------
     force : float
-        Force F of the probe, in µN; zero or positive.
+        Force F of the probe, in µN. A force that is too small to flatten the wall on the whole face
+        of the probe is rejected.
     modulus : float
         Elastic modulus E at small strain, in MPa.
     radius : float
@@ -97,21 +98,21 @@ def indent_capsule(
     ------
     ValueError
         If an argument is out of its range, the force is too small to flatten the wall on the whole
-        face of the probe, or the force has no equilibrium with a dimple above the plate.
+        face of the probe, the force has no equilibrium with a dimple above the plate, or the solver
+        does not converge.
 
     See Also
     --------
     capsule_modulus : The inverse.
 
     Notes
-    -----
-    The model assumes an axisymmetric wall without bending stiffness, an incompressible fluid that
-    does not leak, no friction on the plate and a wall bonded to the probe. Bending adds about 1 %
-    to the force on a taut wall of 3 µm. Flattening the wall on the probe takes the approach
-    :math:`c^2/2R` and, in this model, no force.
+    ----- The model assumes an axisymmetric wall without bending stiffness, an incompressible fluid
+    that does not leak, no friction on the plate and a wall bonded to the probe. A force below about
+    :math:`\pi c^2 p` does not flatten the wall on the whole face of the probe, and is rejected.
 
-    A point at the angle S of the undeformed sphere, counted from the middle of the plate, has ρ =
-    (R/λ) sin S and moves to r(S), z(S). With the tensions per radian H and V of `indent_disc`,
+    A point at the undeformed arc length S, counted from the middle of the plate, has the undeformed
+    radius ρ = (R/λ) sin(λS/R) and moves to r(S), z(S). With the tensions per radian H and V of
+    `indent_disc`,
 
     .. math::
 
@@ -120,9 +121,10 @@ def indent_capsule(
         \sqrt{H^2 + V^2} &= h \rho N_1,\\
         (r', z') &= \lambda_1 (H, V)/\sqrt{H^2 + V^2},
 
-    where primes are derivatives by the undeformed arc (derived here). On the plate V = 0. The
-    pressure p keeps the volume :math:`\frac43 \pi R^3`. V is also zero at the crest of the dimple.
-    Crest and contact have therefore the radius :math:`a = \sqrt{F/(\pi p)}` for every law.
+    where primes are derivatives with respect to S (derived here). These equations hold off the
+    plate; on the plate V = 0. The pressure p keeps the volume :math:`\frac43 \pi R^3`. V is also
+    zero at the crest of the dimple. Crest and contact have therefore the radius :math:`a =
+    \sqrt{F/(\pi p)}` for every law.
 
     The wall is wrinkled where its hoop stress would be negative (relaxed energy of tension-field
     theory). In the middle of the plate both stresses may vanish, and the wall is slack there.
@@ -277,7 +279,7 @@ def capsule_modulus(
 
 
 def _state(problem: CapsuleProblem, solution: Any, modulus: float, shell: Shell) -> MembraneState:
-    """Return the state of a solution whose shape passes through neither plate, probe nor itself."""
+    """Return the state of a solution that does not intersect the plate, the probe or itself."""
     u, zones = problem.unpack(solution.p), Zones.unpack(solution.y)
     dimple = zones.dimple
     clear = dimple.horizontal[-1] < 0 and dimple.r.min() >= (1 - 1e-9) * problem.probe

@@ -31,7 +31,7 @@ class Segment(NamedTuple):
     arc_rate: Array  # dS/dx of the undeformed arc length S
     r: Array
     z: Array
-    tension: Array  # A = h ρ N₁ = √(H² + V²)
+    tension: Array  # A = ρ N₁ = √(H² + V²), dimensionless
     cosine: Array  # H/A, the direction of the tension: outwards
     sine: Array  # V/A, upwards
     pressure: float
@@ -127,7 +127,7 @@ class BoundaryValueProblem(ABC):
                 if found is None:
                     break
         if found is None:
-            raise ValueError("force must have an equilibrium, the solver found none")
+            raise ValueError("force must let the solver converge: try another one or inflation")
         return found
 
     def meridian_stretch(self, segment: Segment) -> tuple[Array, Array]:
