@@ -176,7 +176,7 @@ def core() -> types.SimpleNamespace:
 TRACK = {
     "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
     "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
-    "covariance": np.eye(2), "corner_covariance": np.eye(8), "confidence": 1.0,
+    "covariance": np.eye(2), "confidence": 1.0,
     "hidden": np.zeros((6, 6), bool),
 }  # fmt: skip
 

@@ -41,8 +41,6 @@ class Track(Tidy):
     covariance : ndarray, shape (2, 2)
         Covariance of `center` in px², from the residual of the alignment and how it varies over the
         template.
-    corner_covariance : ndarray, shape (8, 8)
-        The same of the corners, x and y of the first one first.
     confidence : float
         Probability that the pose is right within a pixel. It is 1 where every part of the template
         agrees within the noise, and else an estimate that was fitted to photographs. It is reduced
@@ -71,11 +69,10 @@ class Track(Tidy):
     visible: float = np.nan
     iterations: int = 0
     covariance: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
-    corner_covariance: Array = field(default_factory=lambda: np.full((8,) * 2, np.nan))
     confidence: float
     hidden: NDArray[np.bool_]
 
-    _large = ("corner_covariance", "hidden")
+    _large = ("hidden",)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the track as a flat dictionary that JSON can hold.
@@ -83,8 +80,8 @@ class Track(Tidy):
         Returns
         -------
         dict
-            The fields but `corner_covariance`, `center`, and the share of the box that is `hidden`;
-            when `lost` nothing but that, the `reason` and the `confidence`.
+            The fields, `center`, and the share of the box that is `hidden`; when `lost` nothing but
+            that, the `reason` and the `confidence`.
         """
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         row = super().to_dict() | flat_row(share)

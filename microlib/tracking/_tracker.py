@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Image, as_image, as_region, luminance, one_of
+from microlib._common import Array, as_image, as_region, luminance, one_of
 from microlib.tracking._esm import Template, check_texture, make_level
 from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
@@ -99,7 +99,9 @@ class ESMTracker:
         frame = np.ascontiguousarray(as_image("image", luminance("image", image)))
         motion = one_of("motion", motion, tuple(GENERATORS))
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=6)
-        self._grey_scale = _grey_scale_of(frame[y : y + height, x : x + width])
+        # The power of two that brings the template's contrast to 32 … 64 grey levels.
+        contrast = float(frame[y : y + height, x : x + width].std(dtype=np.float64))
+        self._grey_scale = np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast else 1)
         frame = frame * self._grey_scale
         self._shape, self._kalman, self._seen = frame.shape, kalman, True
         self._attempts = ATTEMPTS
@@ -185,7 +187,6 @@ class ESMTracker:
             visible=fit.visible,
             iterations=fit.iterations,
             covariance=found.corner_covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2)),
-            corner_covariance=found.corner_covariance,
             confidence=found.confidence,
             hidden=found.hidden,
         )
@@ -202,9 +203,3 @@ class ESMTracker:
 
     def _corners(self) -> Array:
         return apply_homography(self._pose, self._template.sharp.corners)
-
-
-def _grey_scale_of(template: Image) -> np.float32:
-    """Return the power of two that brings a template's contrast to 32 … 64 grey levels."""
-    contrast = float(template.std(dtype=np.float64))
-    return np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast > 0 else 1)

@@ -82,7 +82,7 @@ def test_track_is_lost_where_the_template_is_absent(motion):
             assert track.lost
             assert track.reason in ("no agreement", "low correlation", "diverged", "out of view")
             assert track.hidden.all()
-            assert np.isnan(track.corner_covariance).all()
+            assert np.isnan(track.covariance).all()
             assert track.confidence < 0.7  # from which on a pose is accepted
 
 

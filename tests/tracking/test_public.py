@@ -72,7 +72,7 @@ def steps(kalman, position=None) -> tuple:
 LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), NUMBER)
 TRACK = LIGHT | {
     **dict.fromkeys(("lost", "reason", "iterations"), SAME),
-    **dict.fromkeys(("covariance", "corner_covariance", "homography", "hidden"), NUMBER),
+    **dict.fromkeys(("covariance", "homography", "hidden"), NUMBER),
     "bias": grey,
 }
 COLUMNS = dict.fromkeys(Track(**fuzz.TRACK).to_dict(), NUMBER) | {
