@@ -40,7 +40,7 @@ POSITIVE = {
 NOT_NEGATIVE = {
     "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "innovation_gain", "jitter",
     "k", "k_zero", "latency", "noise", "poisson_ratio", "pressure", "pretension", "rim_inset",
-    "rng", "roughness", "sharpest", "sigma", "std", "step", "threshold", "unevenness",
+    "rng", "roughness", "sigma", "std", "step", "threshold", "unevenness",
     "vignetting",
 }  # fmt: skip
 WHOLE = {

@@ -16,7 +16,6 @@ def focal_stack(
     positions: ArrayLike,
     *,
     blur_rate: float,
-    sharpest: float = 0.5,
     noise: float = 0.0,
     rng: np.random.Generator | int | None = None,
 ) -> NDArray[np.uint8]:
@@ -32,8 +31,6 @@ def focal_stack(
         Height in focus in each frame, µm.
     blur_rate : float
         Increase of the blur's standard deviation with the distance from focus, px/µm.
-    sharpest : float
-        Standard deviation of the blur in focus, px.
     noise : float
         Standard deviation of the camera's noise, grey levels.
     rng : numpy.random.Generator or int, optional
@@ -42,8 +39,8 @@ def focal_stack(
     Returns
     -------
     ndarray of uint8, shape (n, rows, cols)
-        Frames with the blur :math:`\\sigma^2 = \\sigma_0^2 + (b\\,|z - z_k|)^2`, noise, rounded and
-        clipped to 8 bits.
+        Frames with the blur :math:`\\sigma^2 = \\sigma_0^2 + (b\\,|z - z_k|)^2`, where σ₀ is
+        0.5 px, with noise, rounded and clipped to 8 bits.
 
     Raises
     ------
@@ -64,21 +61,21 @@ def focal_stack(
     z = as_array("height", height, shape=image.shape)
     focus = as_array("positions", positions, shape=(None,))
     rate = scalar("blur_rate", blur_rate, above=0)
-    least = scalar("sharpest", sharpest, least=0)
+    in_focus = 0.5  # px
     sigma = scalar("noise", noise, least=0)
     rng = noise_source(rng, sigma)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must contain the largest blur in spite of rounding.
-    largest = float(np.hypot(least, rate * furthest)) * (1 + 1e-9)
+    largest = float(np.hypot(in_focus, rate * furthest)) * (1 + 1e-9)
     if largest > (width := max(image.shape)):
         raise ValueError(
-            f"blur_rate and sharpest must give less blur than the width of the texture, {width} px,"
-            f" over the heights and positions given, got {largest:g} px"
+            f"blur_rate must give less blur than the width of the texture, {width} px, "
+            f"over the heights and positions given, got {largest:g} px"
         )
     ladder = BlurLadder(image, largest)
     frames = np.empty((focus.size, *image.shape), dtype=np.uint8)
     for k, position in enumerate(focus):
-        frame: NDArray = ladder.at(np.hypot(least, rate * (z - position)))
+        frame: NDArray = ladder.at(np.hypot(in_focus, rate * (z - position)))
         if sigma > 0:
             frame = frame + sigma * rng.standard_normal(frame.shape)
         frames[k] = eight_bits(frame)
