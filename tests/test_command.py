@@ -9,9 +9,11 @@ import re
 import subprocess
 import sys
 from argparse import Namespace
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import cv2
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -734,59 +736,49 @@ def test_channel_and_time_select_a_stack(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
-def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, encoding):
+def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, monkeypatch, encoding):
     """The name has Cyrillic letters and the output µ and ±."""
-    (tmp_path / "сетка.png").write_bytes((INPUTS / "circles.png").read_bytes())
-    line = [
-        "calibrate",
-        tmp_path / "сетка.png",
-        *GRID.split()[2:],
-        "-o",
-        tmp_path / "µ",
-        "--no-look",
-    ]
-    done = run_command(line, PYTHONIOENCODING=encoding)
-    assert done.returncode == 0
-    assert b"left out" not in done.stderr
-    assert b"circles, square lattice" in done.stdout
+    out, err = (TextIOWrapper(BytesIO(), encoding) for _ in range(2))
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setattr(sys, "stderr", err)
+    photo = tmp_path / "сетка.png"
+    photo.write_bytes((INPUTS / "circles.png").read_bytes())
+    assert status(GRID.replace("circles.png", str(photo)), tmp_path / "µ") == 0
+    out.flush()
+    assert b"circles, square lattice" in out.buffer.getvalue()
+    assert not err.buffer.getvalue()
     assert len(list((tmp_path / "µ").iterdir())) == 3
 
 
-def run_command(line: list, *options: str, **env: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, *options, "-m", "microlib", *map(str, line)]
-    here = {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        command, cwd=INPUTS, env=os.environ | here | env, capture_output=True, check=False
+def test_commands_run_as_a_module_without_docstrings(tmp_path):
+    line = [*OUTLINE.split(), "--no-look", "-o", str(tmp_path / "a.csv")]
+    done = subprocess.run(
+        [sys.executable, "-OO", "-m", "microlib", *line],
+        cwd=INPUTS,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=False,
     )
-
-
-def test_commands_run_without_docstrings(tmp_path):
-    done = run_command([*OUTLINE.split(), "--no-look", "-o", tmp_path / "a.csv"], "-OO")
     assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
     assert pd.read_csv(tmp_path / "a.csv", index_col=0).loc["modulus_MPa", "value"] > 0
 
 
 #: Settings that turn pictures upside down, need LaTeX, or change colors, sizes and formats.
-MATPLOTLIBRC = """image.origin: lower
-text.usetex: true
-axes.grid: true
-figure.dpi: 30
-savefig.format: pdf
-savefig.bbox: tight
-savefig.transparent: true
-image.cmap: jet
-"""
+USER_STYLE = {
+    "image.origin": "lower", "text.usetex": True, "axes.grid": True, "figure.dpi": 30,
+    "savefig.format": "pdf", "savefig.bbox": "tight", "savefig.transparent": True,
+    "image.cmap": "jet",
+}  # fmt: skip
 
 
-def test_user_style_does_not_change_the_picture(tmp_path):
+def test_user_style_does_not_change_the_picture(tmp_path, capsys):
     looks = []
-    for name, style in (("plain", ""), ("own", MATPLOTLIBRC)):
-        (tmp_path / f"{name}.rc").write_text(style)
-        line = [*STACK.split(), "-o", tmp_path / name]
-        done = run_command(line, MATPLOTLIBRC=str(tmp_path / f"{name}.rc"))
-        assert (done.returncode, done.stderr) == (0, b"")
+    for name, style in (("plain", {}), ("own", USER_STYLE)):
+        with mpl.rc_context(style):
+            assert status(STACK, tmp_path / name, "") == 0
         with Image.open(tmp_path / name / "look.png") as picture:
             looks.append(np.asarray(picture.convert("RGB")).astype(int))
+    assert not capsys.readouterr().err
     assert looks[0].shape == looks[1].shape
     assert np.abs(looks[1] - looks[0]).mean() < 1  # of 255; another origin gives 20
 
