@@ -59,7 +59,7 @@ def room_of(path: Path) -> str:
 
 
 @pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_packages_import_only_allowed_packages(path: Path) -> None:
+def test_packages_import_only_allowed_packages(path):
     room = room_of(path)
     for name in imported(path):
         first, *rest = name.split(".")
@@ -82,7 +82,7 @@ OF_PARTS = {"focus", "focus_depth", "tracking"}
     [*sources(ROOT / "compendium"), *sources(ROOT / "benchmarks")],
     ids=lambda p: str(p.relative_to(ROOT)),
 )
-def test_compendium_and_benchmarks_import_public_names_only(path: Path) -> None:
+def test_compendium_and_benchmarks_import_public_names_only(path):
     """But for `_common`, which writes files and shows results for the compendium as well."""
     inside = {
         name
@@ -97,7 +97,7 @@ EXTENSIONS = {"focus": ("multiscale", "_depth.py"), "membrane": ("large", "__ini
 
 
 @pytest.mark.parametrize("room", EXTENSIONS)
-def test_a_core_refers_to_its_extension_in_one_place(room: str) -> None:
+def test_a_core_refers_to_its_extension_in_one_place(room):
     extension, face = EXTENSIONS[room]
     users = {
         path.name
@@ -112,7 +112,7 @@ def test_a_core_refers_to_its_extension_in_one_place(room: str) -> None:
 MOST_PRIVATE_IMPORTS = 51
 
 
-def test_tests_and_benchmarks_import_few_private_modules() -> None:
+def test_tests_and_benchmarks_import_few_private_modules():
     private = re.compile(r"microlib\.(?!_common\b|__main__).*\b_\w")
     found = {
         (str(path.relative_to(ROOT)), name.rpartition(".")[0])
@@ -123,11 +123,11 @@ def test_tests_and_benchmarks_import_few_private_modules() -> None:
     assert len(found) <= MOST_PRIVATE_IMPORTS, sorted(found)
 
 
-def test_imports_have_no_cycle() -> None:
+def test_imports_have_no_cycle():
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 
 
-def test_public_names_are_few_and_listed_once() -> None:
+def test_public_names_are_few_and_listed_once():
     listed: dict[str, str] = {}
     for room in ROOMS:
         for name in importlib.import_module(f"microlib.{room}").__all__:
@@ -143,7 +143,7 @@ def test_public_names_are_few_and_listed_once() -> None:
     assert shown == listed
 
 
-def test_files_of_a_package_are_private() -> None:
+def test_files_of_a_package_are_private():
     for path in sources(PACKAGE):
         inside = path.relative_to(PACKAGE).parts
         if len(inside) > 1 and path.name != "__init__.py":
@@ -162,7 +162,7 @@ def public_objects() -> list[tuple[str, object]]:
 @pytest.mark.parametrize(
     ("name", "value"), public_objects(), ids=lambda v: v if isinstance(v, str) else ""
 )
-def test_public_names_are_documented(name: str, value: object) -> None:
+def test_public_names_are_documented(name, value):
     doc = inspect.getdoc(value) or ""
     assert doc, f"{name} has no docstring"
     assert value.__module__.startswith(f"microlib.{name.split('.')[0]}")
@@ -179,7 +179,7 @@ def test_public_names_are_documented(name: str, value: object) -> None:
     )
 
 
-def test_every_public_name_has_a_row_of_laws() -> None:
+def test_every_public_name_has_a_row_of_laws():
     """In the table of its room, as the docstring of tests/laws.py says."""
     assert tables().keys() == set(public())
 
@@ -201,7 +201,7 @@ def needed(name: str) -> set[str]:
     return found
 
 
-def test_the_library_works_with_its_own_dependencies_only() -> None:
+def test_the_library_works_with_its_own_dependencies_only():
     own = needed("microlib-thesis") | {"opencv-python-headless", "numpy"}
     foreign = sorted(
         module
@@ -232,7 +232,7 @@ for module in ("matplotlib", "plotly", "IPython", "pandas", "scipy.stats", "skim
 
 
 @pytest.mark.parametrize("path", sources(PACKAGE), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_results_are_frozen(path: Path) -> None:
+def test_results_are_frozen(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         for decorator in getattr(node, "decorator_list", []):
             if "dataclass" in ast.unparse(decorator):
@@ -254,7 +254,7 @@ def _names_of(tree: ast.AST) -> set[str]:
     return found
 
 
-def test_a_page_names_only_functions_that_exist() -> None:
+def test_a_page_names_only_functions_that_exist():
     """Whoever follows a page must find what it names in code marks, in the code or in a package."""
     code = {"microlib", "compendium", "benchmarks", "tests", "book", "data"}
     known = {

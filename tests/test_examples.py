@@ -14,7 +14,7 @@ FILES = sorted((ROOT / "microlib").rglob("*.py"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_examples_import_every_name_they_use(path: Path) -> None:
+def test_examples_import_every_name_they_use(path):
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE, verbose=False)
     told: list[str] = []
@@ -24,7 +24,7 @@ def test_examples_import_every_name_they_use(path: Path) -> None:
     assert not told, "".join(told)
 
 
-def test_the_readme_runs() -> None:
+def test_the_readme_runs():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, flags=re.S)
     assert snippets

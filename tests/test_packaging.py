@@ -19,7 +19,7 @@ CODE = {".py", ".pyc"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-def test_the_library_alone_is_installed_and_all_of_it() -> None:
+def test_the_library_alone_is_installed_and_all_of_it():
     found = find_packages(str(ROOT), **PROJECT["tool"]["setuptools"]["packages"]["find"])
     folders = {path.parent.relative_to(ROOT) for path in (ROOT / "microlib").rglob("*.py")}
     assert set(found) == {".".join(folder.parts) for folder in folders}
@@ -31,7 +31,7 @@ def test_the_library_alone_is_installed_and_all_of_it() -> None:
     assert own == listed
 
 
-def test_each_lower_bound_is_the_version_that_was_tested() -> None:
+def test_each_lower_bound_is_the_version_that_was_tested():
     lines = (ROOT / "tests" / "oldest.txt").read_text(encoding="utf-8").splitlines()
     tested = dict(line.split("==") for line in lines if line and not line.startswith("#"))
     optional = PROJECT["project"]["optional-dependencies"]
@@ -42,7 +42,7 @@ def test_each_lower_bound_is_the_version_that_was_tested() -> None:
         assert Version(bound.version) == Version(tested[need.name]), text
 
 
-def test_the_version_is_the_same_everywhere() -> None:
+def test_the_version_is_the_same_everywhere():
     stated = PROJECT["project"]["version"]
     assert microlib.__version__ == stated
     assert f"\nversion: {stated}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
@@ -51,7 +51,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert re.findall(r"^## \[?([\d.]+)", changes, flags=re.M)[0] == stated
 
 
-def test_new_addresses_in_the_changelog_exist() -> None:
+def test_new_addresses_in_the_changelog_exist():
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     moved = changes.split("### Moved")[1].split("###")[0]
     table = re.findall(r"^\| `(.*) \| (.*) \|$", moved, flags=re.M)
@@ -66,7 +66,7 @@ def locked(name: str) -> dict[str, str]:
     return dict(re.findall(r"^([\w.-]+)==([^ \\;]+)", text, flags=re.M))
 
 
-def test_the_extras_are_locked_and_keep_to_the_environment() -> None:
+def test_the_extras_are_locked_and_keep_to_the_environment():
     extras, environment = locked("extras.txt"), locked("environment.txt")
     apart = {n: (v, environment[n]) for n, v in extras.items() if environment.get(n, v) != v}
     assert not apart

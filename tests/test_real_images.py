@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import Calibration, Detection, calibrate, detect_circles, detect_squares
+from microlib.calibration import Calibration, calibrate, detect_circles, detect_squares
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey
 from microlib.tracking import track_all
@@ -21,7 +21,7 @@ BOARD, CHESSBOARD, BEADS = (FOLDER / name for name in ("board", "chessboard", "b
 MIDDLES = ((200, 24), (345, 114), (25, 290))
 
 
-def test_real_data_match_their_hash_and_licence() -> None:
+def test_real_data_match_their_hash_and_licence():
     manifest = tomllib.loads((FOLDER / "MANIFEST.toml").read_text(encoding="utf-8"))
     assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == set(manifest)
     for name, entry in manifest.items():
@@ -33,7 +33,7 @@ def test_real_data_match_their_hash_and_licence() -> None:
     assert sum(path.stat().st_size for path in FOLDER.rglob("*.*")) < 8e6
 
 
-def test_depth_of_bare_board_is_planar() -> None:
+def test_depth_of_bare_board_is_planar():
     """Left of the heat sink and right of it lies one board; small parts on it are outliers."""
     depth = depth_from_focus(str(BOARD), spacing=1.0, register=True, reduce=2).depth
     y, x = np.mgrid[: depth.shape[0], : depth.shape[1]]
@@ -50,7 +50,7 @@ def test_depth_of_bare_board_is_planar() -> None:
 
 
 @pytest.fixture(scope="module")
-def corners() -> list[Detection]:
+def corners():
     photographs = sorted(CHESSBOARD.glob("*.jpg"))
     return [detect_squares(read_grey(path), pattern="chessboard") for path in photographs]
 
@@ -60,7 +60,7 @@ def principal_distance(found: Calibration) -> float:
     return found.microscope.tube_length + found.microscope.focal_length
 
 
-def test_calibration_of_ten_chessboards_agrees_with_opencv(corners: list[Detection]) -> None:
+def test_calibration_of_ten_chessboards_agrees_with_opencv(corners):
     assert all(len(found.points) == 54 for found in corners)
     ours = calibrate(corners, pitch=1.0, pixel_size=1.0)
     world = [np.c_[found.grid, 0 * found.grid[:, :1]].astype(np.float32) for found in corners]
@@ -70,7 +70,7 @@ def test_calibration_of_ten_chessboards_agrees_with_opencv(corners: list[Detecti
     np.testing.assert_allclose(principal_distance(ours), matrix[0, 0], rtol=0.01)
 
 
-def test_beads_are_tracked_through_all_frames() -> None:
+def test_beads_are_tracked_through_all_frames():
     """A displacement grows as diffusion has it: alike along both axes, and with the time."""
     frames = list(read_frames(str(BEADS)))
     tracks = [track_all(frames, (x - 16, y - 16, 33, 33)) for x, y in MIDDLES]
@@ -82,7 +82,7 @@ def test_beads_are_tracked_through_all_frames() -> None:
     assert abs(np.log(four.sum() / one.sum() / 4)) < 3 * 0.16
 
 
-def test_photograph_without_pattern_is_refused() -> None:
+def test_photograph_without_pattern_is_refused():
     bead, board = (read_grey(next(folder.glob("*.*p*"))) for folder in (BEADS, BOARD))
     for image in (bead, board[:300, :400]):
         for detect in (detect_circles, detect_squares):

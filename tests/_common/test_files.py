@@ -12,7 +12,7 @@ from microlib._common import replace_file
 
 
 @pytest.mark.parametrize("fault", [None, OSError("No space left"), KeyboardInterrupt()])
-def test_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path, fault) -> None:
+def test_file_is_replaced_when_the_new_one_is_complete(tmp_path, fault):
     path = tmp_path / "a.csv"
     path.write_text("old")
 
@@ -38,7 +38,7 @@ def test_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path, fault) ->
 
 
 @pytest.mark.skipif(os.name == "nt", reason="of POSIX")
-def test_replacing_a_file_keeps_mode_and_symlink(tmp_path: Path) -> None:
+def test_replacing_a_file_keeps_mode_and_symlink(tmp_path):
     (tmp_path / "disk").mkdir()
     real, link = tmp_path / "disk" / "a.csv", tmp_path / "a.csv"
     link.symlink_to(real)

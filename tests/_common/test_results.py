@@ -48,7 +48,7 @@ def outer() -> Outer:
     )
 
 
-def test_row_is_flat_and_json() -> None:
+def test_row_is_flat_and_json():
     row = outer().to_dict()
     assert json.loads(json.dumps(row, allow_nan=False)) == {
         "inner_center_x": 3.0,
@@ -73,7 +73,7 @@ def results(value: object) -> list[object]:
 
 
 @pytest.mark.parametrize("name", [n for n in fuzz.names() if n not in fuzz.SLOW])
-def test_every_result_has_repr_row_and_pickle(name: str) -> None:
+def test_every_result_has_repr_row_and_pickle(name):
     result, wrong = fuzz.answer(name, {})
     assert wrong is None
     for found in results(result):

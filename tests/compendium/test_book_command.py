@@ -14,7 +14,7 @@ from tests.compendium.test_run import write_notebook
 
 
 @pytest.fixture
-def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def tree(tmp_path, monkeypatch):
     monkeypatch.setattr(book, "ROOT", tmp_path)
     monkeypatch.setattr(run, "ROOT", tmp_path)
     monkeypatch.setattr(run, "BUILD", tmp_path / "build")
@@ -41,7 +41,7 @@ def render(folder: Path) -> None:
     (html / "index.html").write_text(notebook.read_text())
 
 
-def test_new_book_replaces_old_book(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_new_book_replaces_old_book(tree, monkeypatch):
     monkeypatch.setattr(book, "render", render)
     for text in ("first", "second"):
         (tree / "build" / "notebooks" / "01.ipynb").write_text(text)
@@ -58,12 +58,7 @@ def test_new_book_replaces_old_book(tree: Path, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize(
     "fault", [OSError(28, "No space left"), KeyboardInterrupt(), SystemExit(1)]
 )
-def test_failed_book_leaves_old_book(
-    tree: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    fault: BaseException,
-) -> None:
+def test_failed_book_leaves_old_book(tree, monkeypatch, capsys, fault):
     monkeypatch.setattr(book, "render", render)
     assert book.main() == 0
 
@@ -83,12 +78,7 @@ def test_failed_book_leaves_old_book(
 
 
 @pytest.mark.parametrize("executed", [True, False])
-def test_page_of_failed_notebook_names_failure(
-    tree: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    executed: bool,
-) -> None:
+def test_page_of_failed_notebook_names_failure(tree, monkeypatch, capsys, executed):
     """It shows as much as was executed, and nothing of an earlier run."""
     figure = {"mystnb": {"figure": {"name": "fig-4", "caption": "One."}}}
     cells = [new_markdown_cell("(four)=\n# 4 Four\n\nText.", id="a")]

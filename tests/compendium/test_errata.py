@@ -237,7 +237,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
 
 
 @pytest.mark.parametrize("name", ledger.errata())
-def test_corrected_form_passes_proof_and_printed_form_fails(name: str) -> None:
+def test_corrected_form_passes_proof_and_printed_form_fails(name):
     entry = ledger.errata()[name]
     proof, (wrong_text, wrong), (right_text, right) = PROOFS[name]
     assert wrong_text in entry["printed"]
@@ -246,11 +246,11 @@ def test_corrected_form_passes_proof_and_printed_form_fails(name: str) -> None:
     assert not proof(wrong)
 
 
-def test_proofs_and_errata_correspond() -> None:
+def test_proofs_and_errata_correspond():
     assert set(PROOFS) == set(ledger.errata())
 
 
-def test_mirrored_numbering_of_pattern_gives_pose_of_erratum() -> None:
+def test_mirrored_numbering_of_pattern_gives_pose_of_erratum():
     def pose(*angles: float) -> np.ndarray:
         return Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()[:, :2]
 
@@ -261,7 +261,7 @@ def test_mirrored_numbering_of_pattern_gives_pose_of_erratum() -> None:
     np.testing.assert_allclose(pose(alpha + 180, -beta, 180 - gamma), seen * [-1, 1], atol=1e-12)
 
 
-def test_small_slope_error_is_five_per_cent_at_relative_depth_of_a_tenth() -> None:
+def test_small_slope_error_is_five_per_cent_at_relative_depth_of_a_tenth():
     """The reason of the limit of section-4.1/small-slopes, by (4.1) and (4.4) without them."""
     limit = ledger.claim("section-4.1/small-slopes").value
     for relative_depth, holds in ((limit, True), (0.2, False), (0.49, False)):
@@ -272,7 +272,7 @@ def test_small_slope_error_is_five_per_cent_at_relative_depth_of_a_tenth() -> No
         assert bool(whole / small - 1 < 0.055) == holds
 
 
-def test_halved_derivatives_quarter_k_only_without_mixed_derivative() -> None:
+def test_halved_derivatives_quarter_k_only_without_mixed_derivative():
     """(3.22) and (3.23) of second derivatives, R_xx and R_yy halved as by the printed window."""
 
     def h_and_k(xx: float, yy: float, xy: float) -> np.ndarray:
@@ -286,7 +286,7 @@ def test_halved_derivatives_quarter_k_only_without_mixed_derivative() -> None:
     assert right[1] > 0 > printed[1]
 
 
-def test_rounded_lengths_of_table_5_6_give_modulus_off_in_last_digit() -> None:
+def test_rounded_lengths_of_table_5_6_give_modulus_off_in_last_digit():
     """With the catalogue's probe, 25 µm to either side of its middle."""
     force, radius, depth = (ledger.claim(f"table-5.6/{one}").value for one in ("F", "a", "w_d"))
     found = elastic_modulus(force, radius, depth, probe_half_width=25.0, **DIMPLE)

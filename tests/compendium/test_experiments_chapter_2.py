@@ -9,19 +9,18 @@ import pytest
 
 from compendium import thesis
 from compendium.experiments import chapter_2
-from microlib.microscope import Microscope
 
 NOISE = 0.02
 
 
 @pytest.fixture(scope="module")
-def scope() -> Microscope:
+def scope():
     printed = thesis.microscope("circle-1X")
     focal = printed.focal_length
     return replace(printed, tube_length=1.59 * focal, distance=focal / 1.59)
 
 
-def test_noise_free_calibration_recovers_parameters(scope) -> None:
+def test_noise_free_calibration_recovers_parameters(scope):
     steps = chapter_2.calibration_steps(scope, 0.0, np.random.default_rng(0))
     np.testing.assert_allclose(steps["refined"], steps["truth"], rtol=1e-5)
     printed = {"α (°)": 90.7144, "γ (°)": 175.9179, "κ (10⁻¹⁰ µm⁻²)": -8.4, "T_x (µm)": -781.4}
@@ -29,7 +28,7 @@ def test_noise_free_calibration_recovers_parameters(scope) -> None:
     assert steps.loc["M", "start"] == pytest.approx(steps.loc["M", "truth"], rel=0.01)
 
 
-def test_jacobian_models_differ_by_perspective_only(scope) -> None:
+def test_jacobian_models_differ_by_perspective_only(scope):
     plain = replace(scope, distortion=0.0, alpha=0.0, beta=0.0, gamma=np.pi)
     x, y, depth = 700.0, 400.0, plain.translation[2]
     found = chapter_2.jacobian_comparison(plain, (x, y, depth)).set_index("motion")

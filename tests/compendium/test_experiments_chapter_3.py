@@ -8,7 +8,7 @@ import pytest
 from compendium.experiments import chapter_3
 
 
-def test_depth_errors_are_in_frame_spacings() -> None:
+def test_depth_errors_are_in_frame_spacings():
     truth = np.full((40, 40), 30.0)
     frames, positions = np.zeros((9, 40, 40)), 10.0 * np.arange(9)
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ from compendium.experiments import chapter_4
 
 
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-def test_modulus_exponents_equal_formula() -> None:
+def test_modulus_exponents_equal_formula():
     found = chapter_4.exponents()
     known = {"force": 1, "dimple depth": -3, "thickness": -1, "poisson ratio": -1}
     assert found[list(known)].to_dict() == pytest.approx(known, abs=1e-5)

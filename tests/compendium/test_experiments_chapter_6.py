@@ -10,7 +10,7 @@ from compendium.ledger import Record
 from microlib.membrane import modulus_std
 
 
-def test_values_of_sentences_follow_from_printed_numbers() -> None:
+def test_values_of_sentences_follow_from_printed_numbers():
     assert chapter_6.of_printed_numbers() == pytest.approx(
         {
             "section-4.1/small-slopes": 121.22 / 246.95,
@@ -22,13 +22,13 @@ def test_values_of_sentences_follow_from_printed_numbers() -> None:
     )
 
 
-def test_values_of_sentences_follow_from_records() -> None:
+def test_values_of_sentences_follow_from_records():
     records = {"5.5/ridge-thesis": Record("5.5/ridge-thesis", 10.0, 10.0, 10.0, "µm", "result", 1)}
     found = chapter_6.of_records(records)
     assert found == pytest.approx({"section-6/reconstruction-synthetic": 10 / 25})
 
 
-def test_sensitivities_are_those_of_the_closed_form() -> None:
+def test_sensitivities_are_those_of_the_closed_form():
     found = chapter_6.log_sensitivities()
     values = {"force": 197.24, "dimple_radius": 246.954, "dimple_depth": 121.217}
     values |= {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
@@ -40,7 +40,7 @@ def test_sensitivities_are_those_of_the_closed_form() -> None:
 
 
 @pytest.mark.parametrize("std", [0.05, 0.1, 0.2, 1.0])
-def test_the_power_is_that_of_drawn_comparisons(std: float) -> None:
+def test_the_power_is_that_of_drawn_comparisons(std):
     first, second = np.random.default_rng(1).normal(0, std, (2, 100_000))
     differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
     # Four standard errors of a share of 100 000.

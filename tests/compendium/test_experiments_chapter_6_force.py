@@ -9,7 +9,7 @@ from compendium.experiments.chapter_6_force import RELAXATION_TIME, SHARE
 from microlib.membrane import viscoelastic_force
 
 
-def test_true_force_follows_viscoelastic_law() -> None:
+def test_true_force_follows_viscoelastic_law():
     time = np.array([0.0, 1.0, 2.0, 5.0, 8.0, 9.0, 10.0])  # with every turn
     law = {"prony_coefficients": [SHARE], "relaxation_times": [RELAXATION_TIME]}
     wanted = viscoelastic_force(time, chapter_6_force.elastic_push(time), **law)

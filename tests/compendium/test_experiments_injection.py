@@ -9,11 +9,11 @@ from compendium.experiments.injection import Egg, see
 
 
 @pytest.fixture(scope="module")
-def egg() -> Egg:
+def egg():
     return Egg(np.random.default_rng([5, 81]))
 
 
-def test_untouched_egg_has_no_force_and_is_round(egg) -> None:
+def test_untouched_egg_has_no_force_and_is_round(egg):
     assert egg.way(egg.home) == 0.0
     assert float(egg.force(0.0)) == float(egg.depth(0.0)) == 0.0
     sight = see(egg.frame(egg.home))

@@ -16,14 +16,12 @@ DEPTH = section_5_6.printed_dimple()[1]
 
 
 @pytest.fixture(scope="module")
-def crest() -> tuple[float, float]:
+def crest():
     return membranes.crest_reach(thesis.outline_curve())
 
 
 @pytest.fixture(params=[("capsule", "hooke"), ("disc", "mooney-rivlin")])
-def posterior(
-    request: pytest.FixtureRequest, crest: tuple[float, float], monkeypatch: pytest.MonkeyPatch
-) -> pd.DataFrame:
+def posterior(request, crest, monkeypatch):
     """Under one law each, that is not the one a membrane has by default."""
     membrane, law = request.param
     monkeypatch.setattr(membranes, "LAWS", (law,))
@@ -41,7 +39,7 @@ def direct(row: pd.Series) -> float:
     return disc_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes, **before)
 
 
-def test_posterior_draws_reproduce_printed_dimple(posterior: pd.DataFrame) -> None:
+def test_posterior_draws_reproduce_printed_dimple(posterior):
     """Interpolation errs by 1 % of the depth, which is up to 4 % of the modulus."""
     rows = [posterior.iloc[k] for k in range(12)]
     off = np.array([np.log(row.E / direct(row)) for row in rows])
@@ -53,9 +51,7 @@ def depth_of_a_toy(load: np.ndarray, slenderness: np.ndarray) -> np.ndarray:
     return 0.95 * load**0.35 * (1 - 2 * slenderness)
 
 
-def test_posterior_weights_agree_with_rejection_sampling(
-    monkeypatch: pytest.MonkeyPatch, crest: tuple[float, float]
-) -> None:
+def test_posterior_weights_agree_with_rejection_sampling(monkeypatch, crest):
     """On a membrane with a known formula, beside draws of the priors that hit the depth."""
 
     def solved(membrane: str, law: str, reach: tuple[float, float]) -> tuple:
@@ -83,7 +79,7 @@ def test_posterior_weights_agree_with_rejection_sampling(
         assert found["E"].quantile(level) == pytest.approx(wanted, rel=0.015)
 
 
-def test_fit_shoulder_recovers_drawn_profile() -> None:
+def test_fit_shoulder_recovers_drawn_profile():
     """Of an outline drawn with a = 150 µm, 90 µm deep, level outside, 7 µm too high."""
     half_width = thesis.MEMBRANE["probe_half_width"]
     r = np.linspace(half_width, 250.0, 400)
@@ -97,7 +93,7 @@ def test_fit_shoulder_recovers_drawn_profile() -> None:
 
 
 @pytest.mark.parametrize("disc", ["neo-Hooke", "Hooke, no pressure"])
-def test_modulus_ratios_agree_with_inverse_solver(disc: str) -> None:
+def test_modulus_ratios_agree_with_inverse_solver(disc):
     """One is solved for the depth, the other for the modulus."""
     curve, a = membranes.modulus_ratios(disc), thesis.MEMBRANE
     radius = membranes.INPUTS["dimple_radius"]

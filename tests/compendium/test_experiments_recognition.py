@@ -14,7 +14,7 @@ POSES = {"flat": Pose(), "tilted": Pose(turn=0.4, tilt=0.25, towards=1.1, scale=
 
 
 @pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
-def test_a_ball_has_its_curvature_and_height_in_every_pose(pose: Pose) -> None:
+def test_a_ball_has_its_curvature_and_height_in_every_pose(pose):
     height, _ = recognition.surface(PARTS["solder ball"], pose)
     radius = RADIUS * pose.scale
     # The middle of the ball is one radius above the ground, along its normal.
@@ -35,7 +35,7 @@ def test_a_ball_has_its_curvature_and_height_in_every_pose(pose: Pose) -> None:
     np.testing.assert_allclose(bend.mean[top], -1 / radius, rtol=0.06)
 
 
-def test_the_ground_is_a_plane_of_the_tilt() -> None:
+def test_the_ground_is_a_plane_of_the_tilt():
     _, ground = recognition.surface(PARTS["cone"], POSES["tilted"])
     slope_y, slope_x = np.gradient(ground, PIXEL)
     np.testing.assert_allclose(np.hypot(slope_x, slope_y), np.tan(0.25), rtol=1e-9)
@@ -46,7 +46,7 @@ def test_the_ground_is_a_plane_of_the_tilt() -> None:
     )
 
 
-def test_frames_are_sharp_at_their_position_and_blurred_by_a_disc() -> None:
+def test_frames_are_sharp_at_their_position_and_blurred_by_a_disc():
     point = np.zeros((recognition.SIDE,) * 2)
     point[48, 48] = 1.0
     frames = recognition.blur(point, np.full(point.shape, 100.0))
@@ -60,7 +60,7 @@ def test_frames_are_sharp_at_their_position_and_blurred_by_a_disc() -> None:
     np.testing.assert_allclose(second[near], radius[near] ** 2 / 2 + 1 / 6, rtol=0.035, atol=0.1)
 
 
-def test_a_part_hides_the_ground_behind_it() -> None:
+def test_a_part_hides_the_ground_behind_it():
     """The frame in focus on a step's top shows its texture up to the edge, without ground."""
     rng = np.random.default_rng(3)
     height, clean = recognition.render(PARTS["step"], Pose(), rng)
@@ -71,7 +71,7 @@ def test_a_part_hides_the_ground_behind_it() -> None:
     assert np.nanmedian(np.abs(depth - height)[inner]) < 2 * error < 4.0
 
 
-def test_a_description_does_not_depend_on_direction_and_unit_of_length() -> None:
+def test_a_description_does_not_depend_on_direction_and_unit_of_length():
     rng = np.random.default_rng(4)
     height = recognition.surface(PARTS["gripper jaw"], POSES["tilted"])[0]
     height = height + rng.normal(0, 1.0, height.shape)
@@ -85,7 +85,7 @@ def test_a_description_does_not_depend_on_direction_and_unit_of_length() -> None
         np.testing.assert_allclose(again, found, atol=2e-3)
 
 
-def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map() -> None:
+def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map():
     labels = np.full((6, 9), 5, np.uint8)
     labels[:2, :3] = labels[2:4, 3:6] = 1  # two regions of 6 px, which touch at a corner
     labels[:, 8] = 0  # not known
@@ -102,7 +102,7 @@ def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map() -> Non
     assert found[0].sum() == found[2].sum() == 1
 
 
-def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure() -> None:
+def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure():
     training = np.array([[0.0, 0.0], [0.4, 0.0], [0.9, 0.9], [0.9, 0.5]])
     names = np.array(["a", "a", "b", "b"])
     given = np.array([[0.05, 0.0], [0.9, 0.85], [0.9, 3.0], [0.66, 0.26]])
@@ -117,7 +117,7 @@ def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure() -> None:
     np.testing.assert_allclose(scaled["distance"], found["distance"])
 
 
-def test_the_interval_is_that_of_wilson() -> None:
+def test_the_interval_is_that_of_wilson():
     interval = binomtest(36, 40).proportion_ci(method="wilson")
     expected = (90.0, 100 * interval.low, 100 * interval.high)
     assert recognition.wilson(np.arange(40) < 36) == pytest.approx(expected, rel=1e-6)

@@ -13,11 +13,11 @@ from compendium.ledger import claim
 
 
 @pytest.fixture(scope="module")
-def taken() -> dict[str, section_5_2.Photograph]:
+def taken():
     return section_5_2.photographs(seed=11, draws=2)
 
 
-def test_prediction_interval_covers_next_draw() -> None:
+def test_prediction_interval_covers_next_draw():
     rng = np.random.default_rng(0)
     inside = []
     for _ in range(2000):
@@ -28,7 +28,7 @@ def test_prediction_interval_covers_next_draw() -> None:
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
 
 
-def test_pattern_errors_have_positive_log_symmetric_intervals(taken) -> None:
+def test_pattern_errors_have_positive_log_symmetric_intervals(taken):
     errors = section_5_2.pattern_errors(taken)
     assert (errors["low"] > 0).all()
     # As far below as above, in factors.
@@ -40,7 +40,7 @@ def test_pattern_errors_have_positive_log_symmetric_intervals(taken) -> None:
     assert (value < [claim(id).value for id in value.index]).all()
 
 
-def test_printed_pose_affects_only_point_labels() -> None:
+def test_printed_pose_affects_only_point_labels():
     """Another pose by far more than the fit's error, but with the same nearest labels."""
     for column in ("circle-4X", "square-1X"):
         found = section_5_2.render(column, np.random.default_rng(6))[1]
@@ -53,7 +53,7 @@ def test_printed_pose_affects_only_point_labels() -> None:
         np.testing.assert_allclose(truth.project(labels), found.points, atol=0.2)
 
 
-def test_squares_over_circles_uses_zoom_with_smaller_ratio() -> None:
+def test_squares_over_circles_uses_zoom_with_smaller_ratio():
     means = {"circle-1X": 2.0, "square-1X": 3.0, "circle-4X": 1.0, "square-4X": 4.0}
     assert section_5_2.squares_over_circles(means) == 1.5
     assert section_5_2.squares_over_circles(means | {"square-4X": 0.5}) == 0.5

@@ -9,7 +9,7 @@ from compendium.experiments import section_5_3
 from microlib.tracking import ESMTracker
 
 
-def test_gripper_is_tracked_to_its_true_position() -> None:
+def test_gripper_is_tracked_to_its_true_position():
     for zoom in section_5_3.WINDOWS:
         rng = np.random.default_rng(0)
         frame, tracker = section_5_3.gripper(zoom, (-15.0, 10.0), rng)
@@ -21,7 +21,7 @@ def test_gripper_is_tracked_to_its_true_position() -> None:
         assert side == pytest.approx(section_5_3.WINDOWS[zoom], abs=1.5)
 
 
-def test_tracking_fails_at_high_speed() -> None:
+def test_tracking_fails_at_high_speed():
     found = section_5_3.speed_study(2, [250.0, 4000.0], runs=2)
     assert found.loc[250.0].to_list() == [1.0, 1.0]
     # 121 px from frame to frame, more than two windows.

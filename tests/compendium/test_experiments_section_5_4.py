@@ -19,7 +19,7 @@ def medians(station: section_5_4.Workstation, draws: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.01, 0.029])
-def test_batched_loop_equals_library_simulation(latency: float) -> None:
+def test_batched_loop_equals_library_simulation(latency):
     """Two loops over the same draws: they differ by rounding, of features within 200 px."""
     rng = np.random.default_rng(3)
     for zoom, name in (("1X", "square"), ("4X", "circle")):
@@ -45,7 +45,7 @@ def test_batched_loop_equals_library_simulation(latency: float) -> None:
         np.testing.assert_array_equal(expected.saturated, full)
 
 
-def test_error_on_circle_is_one_sample_of_motion(station) -> None:
+def test_error_on_circle_is_one_sample_of_motion(station):
     """The controller works on f(k) − f*(k+1), so a perfect one leaves speed times interval."""
     found = medians(station, draws=6)
     for zoom in thesis.ZOOMS:
@@ -53,7 +53,7 @@ def test_error_on_circle_is_one_sample_of_motion(station) -> None:
         assert found[f"table-5.4/{zoom}/circle/accuracy"] == pytest.approx(one_sample, rel=0.1)
 
 
-def test_precision_after_step_grows_with_band(station) -> None:
+def test_precision_after_step_grows_with_band(station):
     """The first frames inside the band have the largest errors of what follows."""
     bands = [replace(station.assumed, band=band) for band in (0.03, 0.05, 0.1)]
     for zoom in thesis.ZOOMS:
@@ -63,7 +63,7 @@ def test_precision_after_step_grows_with_band(station) -> None:
         assert spread[0] > 0.5 * station.jitter * thesis.effective_pixel(zoom)
 
 
-def test_taller_sinusoid_has_lower_precision(station) -> None:
+def test_taller_sinusoid_has_lower_precision(station):
     """At the same mean error: the speed along the curve varies more."""
     flat = station.path_errors("1X", "sinusoid", 8).mean(axis=0)
     slower = station.path_speed | {"sinusoid": 0.57 * station.path_speed["sinusoid"]}
@@ -73,7 +73,7 @@ def test_taller_sinusoid_has_lower_precision(station) -> None:
     assert error[1] > 1.05 * flat[1]
 
 
-def test_image_based_run_agrees_with_coordinate_run(station) -> None:
+def test_image_based_run_agrees_with_coordinate_run(station):
     found = section_5_4.over_images(station, "4X", section_5_4.STEP_PATH[:30], (0.0, 0.0))
     assert len(found.time) == 30
     fast, _ = station.runs("4X", section_5_4.STEP_PATH[:30], 1, (0.0, 0.0))
@@ -81,7 +81,7 @@ def test_image_based_run_agrees_with_coordinate_run(station) -> None:
     assert np.abs(found.measured - fast[0]).max() < 0.3
 
 
-def test_velocity_saturates_for_most_of_settling_time(station) -> None:
+def test_velocity_saturates_for_most_of_settling_time(station):
     share = section_5_4.saturated_share(station, draws=3)
     # The way of 95 % to 100 % of the step, and at most three samples, are left to the end.
     assert 0.75 < share < 1
@@ -89,13 +89,13 @@ def test_velocity_saturates_for_most_of_settling_time(station) -> None:
     assert section_5_4.saturated_share(fast, draws=3) < 0.5
 
 
-def test_printed_number_outside_tried_range_is_refused() -> None:
+def test_printed_number_outside_tried_range_is_refused():
     id = "table-5.4/1X/circle/accuracy"
     with pytest.raises(ValueError, match=f"must give {id}, printed 7.72, got 1 to 2"):
         section_5_4.within(np.array([1.0, 2.0]), np.array([1.0, 2.0]), id)
 
 
-def test_readings_report_whether_printed_number_is_inside(station, monkeypatch) -> None:
+def test_readings_report_whether_printed_number_is_inside(station, monkeypatch):
     names = ("7 % slower at 4X", "5 times the jitter at 4X")
     readings = {name: section_5_4.OTHER_READINGS[name] for name in names}
     monkeypatch.setattr(section_5_4, "OTHER_READINGS", readings)
@@ -116,7 +116,7 @@ def test_readings_report_whether_printed_number_is_inside(station, monkeypatch) 
     assert set(turned["claim"]) == set(decided.index[decided["changed by"] != ""])
 
 
-def test_jitter_lowers_precision(station) -> None:
+def test_jitter_lowers_precision(station):
     for path in section_5_4.PATHS:
         still, shaken = (
             np.median(replace(station, jitter=jitter).path_errors("1X", path, 4)[:, 1])

@@ -12,11 +12,11 @@ from compendium.experiments import section_5_5
 
 
 @pytest.fixture(scope="module")
-def ridge() -> section_5_5.Scene:
+def ridge():
     return section_5_5.render_ridge(9)
 
 
-def test_thesis_method_finds_ridge(ridge) -> None:
+def test_thesis_method_finds_ridge(ridge):
     table = section_5_5.ridge_errors(ridge, 9)
     assert table.pop("known by default (%)")["blur by distance"] > 99
     printed = table.loc["two levels of blur"]
@@ -27,7 +27,7 @@ def test_thesis_method_finds_ridge(ridge) -> None:
     assert table.loc["blur by distance"].max() < thesis.RIDGE_STEP / 2
 
 
-def test_printed_windows_halve_second_derivative() -> None:
+def test_printed_windows_halve_second_derivative():
     y, x = np.mgrid[-20:21, -20:21].astype(float)
     mean, gaussian = section_5_5.thesis_curvature(-(x**2 + y**2) / 100)
     # Of H = −0.02 and K = 0.0004 at the top; smoothing leaves a paraboloid as it is.
@@ -66,7 +66,7 @@ def of_sentences(ridge, change) -> dict[str, float]:
     return found | section_5_5.ball_sentences(change(described_ball()))
 
 
-def test_described_label_map_agrees_with_sentences(ridge) -> None:
+def test_described_label_map_agrees_with_sentences(ridge):
     found = of_sentences(ridge, np.copy)
     assert all(fits(name, value) for name, value in found.items()), found
 
@@ -89,12 +89,12 @@ def test_described_label_map_agrees_with_sentences(ridge) -> None:
         (lambda t: np.where(np.indices(t.shape)[1] % 7 == 0, 2, t), {"ball-background-planar"}),
     ],
 )
-def test_changed_label_map_disagrees_with_sentences(ridge, fault, wrong: set[str]) -> None:
+def test_changed_label_map_disagrees_with_sentences(ridge, fault, wrong):
     found = of_sentences(ridge, fault)
     assert wrong <= {name for name, value in found.items() if not fits(name, value)}
 
 
-def test_ball_shape_distinguishes_cylinder_and_sphere() -> None:
+def test_ball_shape_distinguishes_cylinder_and_sphere():
     distance = section_5_5.from_ball_center()
     rise = np.sqrt(np.maximum(1 - distance**2, 0)) * section_5_5.BALL_RADIUS
     ball = distance < 1

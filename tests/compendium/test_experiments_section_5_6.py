@@ -18,7 +18,7 @@ from microlib.membrane import indentation_force
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 
 
-def test_rounding_of_table_5_5_leaves_two_per_cent_of_modulus() -> None:
+def test_rounding_of_table_5_5_leaves_two_per_cent_of_modulus():
     draws = section_5_6.rounding_draws(seed=1, draws=400)
     # 400 draws know a standard deviation to 3.5 %, and their sum of 24 is near a Gaussian's.
     tolerance = claim("section-5.6/E-from-table-5.5").tolerance
@@ -32,11 +32,11 @@ def test_rounding_of_table_5_5_leaves_two_per_cent_of_modulus() -> None:
 
 
 @pytest.fixture(scope="module")
-def reach() -> section_5_6.RoundingReach:
+def reach():
     return section_5_6.rounding_reach()
 
 
-def test_worst_cases_of_rounding_are_reached(reach) -> None:
+def test_worst_cases_of_rounding_are_reached(reach):
     """The worst cases are what the curve reaches with each coefficient at its end."""
     base = section_5_6.read_off()
     curve = thesis.outline_curve()
@@ -49,7 +49,7 @@ def test_worst_cases_of_rounding_are_reached(reach) -> None:
         assert reached == pytest.approx(worst, rel=0.05), name
 
 
-def test_printed_coordinates_need_nearly_all_of_the_rounding(reach) -> None:
+def test_printed_coordinates_need_nearly_all_of_the_rounding(reach):
     names = ("x_1", "y_1", "x_2", "y_2")
     printed = np.array([claim(f"section-5.6/{name}").value for name in names])
     half = np.array([half_ulp(claim(f"section-5.6/{name}").printed) for name in names])
@@ -73,7 +73,7 @@ def test_printed_coordinates_need_nearly_all_of_the_rounding(reach) -> None:
     assert -best.fun == pytest.approx(reach.share, abs=0.02)
 
 
-def test_printed_modulus_implies_probe_half_width_of_25_um() -> None:
+def test_printed_modulus_implies_probe_half_width_of_25_um():
     low, high = section_5_6.probe_half_widths()
     assert low < 25.0 < high
     assert high - low < 0.02
@@ -92,7 +92,7 @@ def test_printed_modulus_implies_probe_half_width_of_25_um() -> None:
         assert needed[0] < 0 < needed[1]
 
 
-def test_right_rim_is_highest_point_on_its_side() -> None:
+def test_right_rim_is_highest_point_on_its_side():
     radius, depth = section_5_6.right_dimple()
     curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
     bottom = dimple_geometry(curve, pixel_size=pixel).bottom
@@ -102,7 +102,7 @@ def test_right_rim_is_highest_point_on_its_side() -> None:
     assert (round(radius), round(depth, 1)) == (181, 119.7)
 
 
-def test_shape_is_compared_with_its_own_profile() -> None:
+def test_shape_is_compared_with_its_own_profile():
     curve = thesis.outline_curve()
     shape = section_5_6.compare_shape(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
@@ -115,7 +115,7 @@ def test_shape_is_compared_with_its_own_profile() -> None:
     assert shape.share == pytest.approx(off / dimple.dimple_depth)
 
 
-def test_table_5_7_is_scaled_to_the_largest_force() -> None:
+def test_table_5_7_is_scaled_to_the_largest_force():
     # Four embryos that read the same at each force: nothing is left to chance.
     reading = np.array([1.0, 1.5, 2.0])
     made = pd.DataFrame({"force": [1.0, 2.0, 3.0] * 4, "thesis": np.tile(reading, 4)})

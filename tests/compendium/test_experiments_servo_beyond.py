@@ -10,7 +10,7 @@ from compendium.experiments import section_5_4, servo_disturbances
 
 
 @pytest.mark.parametrize("label", servo_disturbances.DISTURBANCES)
-def test_disturbance_increases_error(station, label: str) -> None:
+def test_disturbance_increases_error(station, label):
     path = station.path("circle")
     strength = {"frames dropped": (0.3, 0.0), "frames logged twice": (0.3, 0.0)}
     strong = strength.get(label, (1.0 if "begun" in label or "noise" in label else 0.1, 8.0))
@@ -24,7 +24,7 @@ def test_disturbance_increases_error(station, label: str) -> None:
     assert (disturbed[1] > 1.2 * still[1]) == (label != "none")
 
 
-def test_known_disturbance_is_identified(station, monkeypatch) -> None:
+def test_known_disturbance_is_identified(station, monkeypatch):
     """Numbers that paths begun 14 µm beside their start give, in place of the printed ones."""
     label = "begun beside the start"
     strength = (label, np.tile([1.0, 14.0], (60, 1)), np.full(60, station.jitter))

@@ -23,7 +23,7 @@ TRUTH = manifest()["embryo.png"]["truth"]
 ALLOWED = {"modulus_MPa": 0.05, "dimple_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 
-def test_demo_scales_are_not_used_for_other_files(tmp_path: Path) -> None:
+def test_demo_scales_are_not_used_for_other_files(tmp_path):
     unknown = dict.fromkeys(SETTINGS)
     values, table = resolve_scales(EMBRYO, unknown)
     assert values == SETTINGS
@@ -41,7 +41,7 @@ def test_demo_scales_are_not_used_for_other_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])
-def test_compare_accepts_truth_and_names_wrong_result(wrong: float) -> None:
+def test_compare_accepts_truth_and_names_wrong_result(wrong):
     table = compare(EMBRYO, SETTINGS, TRUTH, ALLOWED)
     assert list(table.index) == list(TRUTH)
     assert (table["off by"] == 0).all()
@@ -49,7 +49,7 @@ def test_compare_accepts_truth_and_names_wrong_result(wrong: float) -> None:
         compare(EMBRYO, SETTINGS, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
 
 
-def test_compare_checks_arrays_against_truth_file() -> None:
+def test_compare_checks_arrays_against_truth_file():
     path = FOLDER / "frames.tif"
     settings = manifest()["frames.tif"]["settings"]
     true = pd.read_csv(FOLDER / "frames_path.csv")
@@ -68,9 +68,7 @@ def test_compare_checks_arrays_against_truth_file() -> None:
             result(wrong)
 
 
-def test_compare_without_truth_compares_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compare_without_truth_compares_nothing(tmp_path, capsys):
     wrong = dict.fromkeys(TRUTH, -1.0)
     mine = tmp_path / "embryo.png"
     mine.write_bytes(Path(EMBRYO).read_bytes())
@@ -82,9 +80,7 @@ def test_compare_without_truth_compares_nothing(
     assert "embryo.png hold for force = 113.75" in capsys.readouterr().out
 
 
-def test_out_folder_is_in_project_unless_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_out_folder_is_in_project_unless_given(tmp_path, monkeypatch):
     """Also where the working folder is that of the notebooks, as in Jupyter."""
     monkeypatch.setattr(guides, "ROOT", tmp_path / "project")
     monkeypatch.chdir(tmp_path)

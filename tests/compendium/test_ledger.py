@@ -58,16 +58,14 @@ SIMULATED = {"compared": "simulation"}
         (SIMULATED | {"bound": "upper"}, (2.4, 2.3, 2.45), "disagrees"),
     ],
 )
-def test_judge_gives_verdict_from_interval_and_tolerance(
-    changes: dict, numbers: tuple, verdict: str
-) -> None:
+def test_judge_gives_verdict_from_interval_and_tolerance(changes, numbers, verdict):
     """The verdict that the entry states decides nothing."""
     for stated in ledger.VERDICTS:
         assert ledger.judge(make(**changes | {"verdict": stated}), *numbers) == verdict
 
 
 @pytest.mark.parametrize("value", [1e9, -1e9, 0.0, 2.0, -2.5])
-def test_changed_difference_fails_pinned_verdict(value: float) -> None:
+def test_changed_difference_fails_pinned_verdict(value):
     claim = make(verdict="disagrees", recomputed=3.0, within=0.1)
     assert ledger.check_stated_verdict(claim, 3.05, 3.05, 3.05) == ("disagrees", "")
     assert "not within 0.1 of 3" in ledger.check_stated_verdict(claim, value, value, value)[1]
@@ -86,14 +84,12 @@ def test_changed_difference_fails_pinned_verdict(value: float) -> None:
         (math.inf, math.inf, "the formula gives inf"),
     ],
 )
-def test_check_equation_names_failing_equation(
-    formula: object, library: object, message: str
-) -> None:
+def test_check_equation_names_failing_equation(formula, library, message):
     with pytest.raises(ledger.ClaimError, match=message):
         ledger.check_equation("3.13", formula, library)
 
 
-def test_check_equation_records_nothing_when_it_holds(tmp_path: Path) -> None:
+def test_check_equation_records_nothing_when_it_holds(tmp_path):
     try:
         ledger.open_record(tmp_path / "03.json")
         ledger.check_equation("3.13", [0.1 + 0.2, 1.0], [0.3, 1.0])  # apart by rounding
@@ -109,7 +105,7 @@ def test_check_equation_records_nothing_when_it_holds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
-def test_claim_entry_is_consistent(claim: ledger.Claim) -> None:
+def test_claim_entry_is_consistent(claim):
     """What must hold of every entry of claims.toml."""
     arithmetic, simulated = claim.compared == "arithmetic", claim.compared == "simulation"
     assert claim.verdict in ledger.VERDICTS
@@ -158,12 +154,12 @@ def test_claim_entry_is_consistent(claim: ledger.Claim) -> None:
         ("table-5.6/F", 197.0, {}, "not compared"),
     ],
 )
-def test_check_refuses_wrong_numbers(id: str, value: float, options: dict, message: str) -> None:
+def test_check_refuses_wrong_numbers(id, value, options, message):
     with pytest.raises((ledger.ClaimError, ValueError), match=message):
         ledger.check(id, value, **options)
 
 
-def test_mismatch_is_recorded_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mismatch_is_recorded_on_request(monkeypatch):
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     record = ledger.check("table-5.6/w_d", 120.0)
     assert record.verdict == "disagrees: disagrees, but the book says agrees"
@@ -174,7 +170,7 @@ def test_mismatch_is_recorded_on_request(monkeypatch: pytest.MonkeyPatch) -> Non
     [c for c in CLAIMS if c.compared == "arithmetic" and (c.verdict == "agrees" or c.corrected)],
     ids=lambda claim: claim.id,
 )
-def test_tolerance_rejects_wrong_values(claim: ledger.Claim) -> None:
+def test_tolerance_rejects_wrong_values(claim):
     """Zero, the wrong sign and a value two per cent off are all rejected."""
     right = float(claim.corrected or claim.printed)
     for wrong in (0.0, -right, 1.02 * right):
@@ -188,7 +184,7 @@ def test_tolerance_rejects_wrong_values(claim: ledger.Claim) -> None:
         assert bool(ledger.check_stated_verdict(claim, near, near, near)[1]) == (abs(share) > 1)
 
 
-def test_tolerances_of_table_5_1_are_95_percent_quantiles() -> None:
+def test_tolerances_of_table_5_1_are_95_percent_quantiles():
     """All its lengths have five digits; M is T_op/f, d is f²/T_op, T_z is f + d."""
     rng = np.random.default_rng(0)
     for column in ("circle-1X", "circle-4X", "square-1X", "square-4X"):
@@ -208,7 +204,7 @@ def test_tolerances_of_table_5_1_are_95_percent_quantiles() -> None:
             assert entry[name].tolerance == pytest.approx(limit, rel=0.06), (column, name)
 
 
-def test_records_are_written_and_read(tmp_path: Path) -> None:
+def test_records_are_written_and_read(tmp_path):
     try:
         ledger.open_record(tmp_path / "claims" / "05.json")
         ledger.check("table-5.6/E", 1.32372)
@@ -240,9 +236,7 @@ def test_records_are_written_and_read(tmp_path: Path) -> None:
         (-8.4e-10, -8.6e-10, -8.2e-10, 12, "(-8.40 ± 0.20)·10⁻¹⁰ px"),
     ],
 )
-def test_number_is_shown_to_its_uncertainty(
-    value: float, low: float, high: float, digits: int, text: str
-) -> None:
+def test_number_is_shown_to_its_uncertainty(value, low, high, digits, text):
     record = ledger.Record("x", value, low, high, "px", "agrees", digits)
     assert str(record) == text
     noise = 1 + 2e-7  # what another machine changes
@@ -251,7 +245,7 @@ def test_number_is_shown_to_its_uncertainty(
 
 
 @pytest.mark.parametrize("claim", [c for c in CLAIMS if c.compared], ids=lambda claim: claim.id)
-def test_every_claim_fails_for_some_planted_number(claim: ledger.Claim) -> None:
+def test_every_claim_fails_for_some_planted_number(claim):
     """No claim is true by construction: some planted number changes its verdict or its pin."""
     size = abs(claim.value) or 1.0
     planted = (0.0, -size, 0.4 * size, 2.1 * size, 100 * size)
@@ -261,11 +255,11 @@ def test_every_claim_fails_for_some_planted_number(claim: ledger.Claim) -> None:
         assert turned & {"disagrees", "cannot tell"}, turned
 
 
-def test_causes_and_claims_correspond() -> None:
+def test_causes_and_claims_correspond():
     assert {claim.cause for claim in CLAIMS} - {""} == set(ledger.causes())
 
 
-def test_errata_name_existing_claims_and_tests() -> None:
+def test_errata_name_existing_claims_and_tests():
     for name, entry in ledger.errata().items():
         assert ("reading" in entry) == (entry["origin"] == "A matter of reading"), name
         assert all(id in ledger.claims() for id in entry.get("claims", "").split()), name

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from compendium.parameters import describe, read_values
@@ -23,7 +21,7 @@ out = "build/guides/focus"  # folder"""
 
 
 @pytest.fixture
-def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def notebook(tmp_path, monkeypatch):
     """A notebook, seen from another folder."""
     (tmp_path / "project" / "notebooks").mkdir(parents=True)
     write_notebook(tmp_path / "project", "07_guide", "other = 1", CELL)
@@ -33,7 +31,7 @@ def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "project" / "notebooks" / "07_guide.ipynb"
 
 
-def test_table_of_parameters_has_default_bound_and_meaning() -> None:
+def test_table_of_parameters_has_default_bound_and_meaning():
     table = describe("07_guide_embryo")
     assert "record" not in table.index
     default, accepted, meaning = table.loc["force"]
@@ -55,9 +53,7 @@ def test_table_of_parameters_has_default_bound_and_meaning() -> None:
         ("stack", "a.png", "a.png"),
     ],
 )
-def test_text_is_converted_to_type_of_parameter(
-    notebook: Path, name: str, text: str, value: object
-) -> None:
+def test_text_is_converted_to_type_of_parameter(notebook, name, text, value):
     found = read_values(notebook, [(name, text)])[name]
     assert found == value
     assert type(found) is type(value)
@@ -87,7 +83,7 @@ def test_text_is_converted_to_type_of_parameter(
         ("zzz", "1", "07_guide has no parameter zzz; it has record, stack"),
     ],
 )
-def test_wrong_text_raises_one_line(notebook: Path, name: str, text: str, message: str) -> None:
+def test_wrong_text_raises_one_line(notebook, name, text, message):
     with pytest.raises(ValueError, match=f"^{message.replace('?', '[?]')}") as caught:
         read_values(notebook, [(name, text)])
     assert "\n" not in str(caught.value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,7 +18,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", README, flags=re.M)
 
 
-def test_start_page_has_commands_of_readme() -> None:
+def test_start_page_has_commands_of_readme():
     page = (ROOT / "book" / "start.md").read_text(encoding="utf-8")
     assert len(COMMANDS) == 4
     assert (
@@ -28,10 +27,7 @@ def test_start_page_has_commands_of_readme() -> None:
 
 
 @pytest.mark.parametrize(("task", "text"), COMMANDS, ids=lambda value: value.split()[0])
-def test_readme_command_reproduces_truth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], task: str,
-    text: str,
-) -> None:  # fmt: skip
+def test_readme_command_reproduces_truth(tmp_path, monkeypatch, capsys, task, text):
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     assert main([task, *shlex.split(text)]) == 0

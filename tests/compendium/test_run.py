@@ -39,7 +39,7 @@ def write_notebook(root: Path, name: str, source: str, parameters: str = 'record
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def project(tmp_path, monkeypatch):
     """A project of two small notebooks, in place of this one."""
     for folder in ("notebooks", "microlib/focus", "compendium", "data/thesis", "build/claims"):
         (tmp_path / folder).mkdir(parents=True)
@@ -53,7 +53,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_changed_file_changes_cache_key(project: Path) -> None:
+def test_changed_file_changes_cache_key(project):
     keys = [run.key_of("01_first")]
     for file in (
         "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
@@ -74,9 +74,7 @@ def statuses(project: Path) -> dict[str, dict]:
     return {path.stem: json.loads(path.read_text()) for path in files}
 
 
-def test_only_changed_or_missing_notebooks_run_again(
-    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_only_changed_or_missing_notebooks_run_again(project, monkeypatch, capsys):
     figure = "import os\n(pathlib.Path(os.environ['MICROLIB_FIGURES']) / 'fig.csv').touch()"
     write_notebook(project, "01_first", CHECKS + figure)
     monkeypatch.setattr(sys, "argv", ["run"])
@@ -104,9 +102,7 @@ def test_only_changed_or_missing_notebooks_run_again(
         (project / file).write_text(before)
 
 
-def test_failed_notebook_is_listed_and_others_run(
-    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_failed_notebook_is_listed_and_others_run(project, monkeypatch, capsys):
     """It is named with cell and message; what it computed before stays, and it runs again."""
     write_notebook(project, "08_first", CHECKS + "1 / 0")
     write_notebook(project, "02_second", CHECKS)
@@ -148,9 +144,7 @@ def test_failed_notebook_is_listed_and_others_run(
         ("assert False", "FAILED in cell source: AssertionError:"),
     ],
 )
-def test_failures_are_reported_with_reason(
-    project: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
-) -> None:
+def test_failures_are_reported_with_reason(project, monkeypatch, source, message):
     """Assertions hold although the user's Python leaves them out."""
     monkeypatch.setenv("PYTHONOPTIMIZE", "1")
     monkeypatch.setattr(run, "CELL_LIMIT", 5)
@@ -161,9 +155,7 @@ def test_failures_are_reported_with_reason(
     assert ("last words" in log) == ("last words" in source)
 
 
-def test_unstartable_kernel_and_full_disk_are_failures(
-    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unstartable_kernel_and_full_disk_are_failures(project, monkeypatch, capsys):
     """A kernel without an interpreter; and a disk on which not even the status has room."""
     monkeypatch.setattr(sys, "argv", ["run", "01"])
     assert run.main() == 0
@@ -179,14 +171,14 @@ def test_unstartable_kernel_and_full_disk_are_failures(
     assert not list((project / "build" / "notebooks").iterdir())  # nothing of an earlier run
 
 
-def test_last_chapter_requires_records_of_others(project: Path) -> None:
+def test_last_chapter_requires_records_of_others(project):
     run.build(["06_last"], 1, force=False)
     assert run.failures()["06_last"].endswith("run 01_first first")
     run.build(["01_first", "06_last"], 1, force=False)
     assert run.failures() == {}
 
 
-def test_kernel_ignores_settings_of_user(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernel_ignores_settings_of_user(project, monkeypatch):
     """A kernel called python3, an IPython profile and a start-up file of the user's."""
     spec = project / "jupyter" / "kernels" / "python3" / "kernel.json"
     spec.parent.mkdir(parents=True)
@@ -209,7 +201,7 @@ def test_kernel_ignores_settings_of_user(project: Path, monkeypatch: pytest.Monk
     assert (project / ran).resolve() == Path(sys.executable).resolve()
 
 
-def test_results_of_deleted_notebook_are_removed(project: Path) -> None:
+def test_results_of_deleted_notebook_are_removed(project):
     write_notebook(project, "08_old", CHECKS)
     run.build(["08_old"], 1, force=False)
     (project / "notebooks" / "08_old.ipynb").unlink()
@@ -243,7 +235,7 @@ def start_waiting(project: Path, *arguments: str) -> tuple[subprocess.Popen, int
     return running, int((project / "pid").read_text())
 
 
-def test_killed_run_is_not_up_to_date(project: Path) -> None:
+def test_killed_run_is_not_up_to_date(project):
     """Its kernels end with it, and the notebook runs again."""
     running, kernel = start_waiting(project)
     running.kill()
@@ -259,9 +251,7 @@ def test_killed_run_is_not_up_to_date(project: Path) -> None:
 @pytest.mark.parametrize(
     ("number", "arguments"), [(signal.SIGINT, ()), (signal.SIGTERM, ("-p", "width", "2"))]
 )
-def test_interrupt_stops_kernel_before_run_ends(
-    project: Path, number: signal.Signals, arguments: tuple[str, ...]
-) -> None:
+def test_interrupt_stops_kernel_before_run_ends(project, number, arguments):
     running, kernel = start_waiting(project, *arguments)
     running.send_signal(number)
     running.send_signal(signal.SIGINT)  # an impatient second one does not break the first off
@@ -272,7 +262,7 @@ def test_interrupt_stops_kernel_before_run_ends(
         assert run.failures()["01_first"].startswith("FAILED in cell source: KeyboardInterrupt")
 
 
-def test_second_run_waits_for_lock(project: Path) -> None:
+def test_second_run_waits_for_lock(project):
     code = "import sys, pathlib; from compendium import run; "
     code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
     code += "with run.build_lock(): print('holds', flush=True)"
@@ -301,14 +291,7 @@ def test_second_run_waits_for_lock(project: Path) -> None:
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
     ],
 )
-def test_wrong_arguments_give_one_line(
-    project: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    status: int,
-    message: str,
-) -> None:
+def test_wrong_arguments_give_one_line(project, monkeypatch, capsys, arguments, status, message):
     write_notebook(project, "01_first", "print(width)", 'record = ""\nwidth = 1.0')
     monkeypatch.chdir(project)
     (project / "file").touch()
@@ -325,9 +308,7 @@ def test_wrong_arguments_give_one_line(
 
 
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
-def test_run_on_own_data_writes_to_its_own_folder(
-    project: Path, monkeypatch: pytest.MonkeyPatch, source: str, status: int
-) -> None:
+def test_run_on_own_data_writes_to_its_own_folder(project, monkeypatch, source, status):
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
     monkeypatch.chdir(project)
     arguments = ["01", "-p", "record", "2.50", "-p", "width", "-5e1", "--output", "mine"]

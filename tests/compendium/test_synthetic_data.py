@@ -16,7 +16,7 @@ FOLDER = ROOT / "data" / "synthetic"
 FILES = [path for path in FOLDER.iterdir() if path.is_file() and path.suffix != ".py"]
 
 
-def test_manifest_describes_every_file() -> None:
+def test_manifest_describes_every_file():
     manifest = tomllib.loads((FOLDER / "MANIFEST.toml").read_text(encoding="utf-8"))
     assert {p.name for p in FILES} == {*manifest, "MANIFEST.toml"}
     for name, entry in manifest.items():
@@ -25,7 +25,7 @@ def test_manifest_describes_every_file() -> None:
     assert sum(path.stat().st_size for path in FILES) < 4e6
 
 
-def test_synthetic_inputs_are_reproducible(tmp_path: Path) -> None:
+def test_synthetic_inputs_are_reproducible(tmp_path):
     """Another processor rounds a pixel to the next grey level, a height in single precision."""
     command = [sys.executable, "-m", "data.synthetic.make", str(tmp_path)]
     subprocess.run(command, check=True, cwd=ROOT)

@@ -29,7 +29,7 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_table_shows_printed_and_found_numbers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_shows_printed_and_found_numbers(name, monkeypatch):
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     entries = [one for id, one in ledger.claims().items() if id.startswith(f"{name}/")]
     entries = [one for one in entries if "table" in name or (one.compared and not one.printed)]
@@ -57,7 +57,7 @@ def test_table_shows_printed_and_found_numbers(name: str, monkeypatch: pytest.Mo
     assert sorted(cells) == sorted(expected)
 
 
-def test_unchecked_table_is_refused() -> None:
+def test_unchecked_table_is_refused():
     ledger.open_record("")
     with pytest.raises(ValueError, match=r"missing: \['table-5.7/mean', 'table-5.7/std'\]"):
         as_printed("table-5.7")
@@ -65,7 +65,7 @@ def test_unchecked_table_is_refused() -> None:
         as_printed("table-9.9")
 
 
-def test_texts_of_claims_are_escaped() -> None:
+def test_texts_of_claims_are_escaped():
     """Neither in HTML nor in a script, which a text may not end."""
     wrong = "</script><b title='x'>\"&"
     claim = replace(ledger.claim("table-5.6/E"), what=wrong)

@@ -12,7 +12,7 @@ SHAPE = (60, 80)
 
 
 @pytest.mark.parametrize("column", thesis.COLUMNS)
-def test_microscope_has_parameters_of_table_5_1(column: str) -> None:
+def test_microscope_has_parameters_of_table_5_1(column):
     scope = thesis.microscope(column)
     # The print's own ratio, up to the gap that section 5.2 finds between its three lengths.
     assert scope.tube_length / scope.focal_length == pytest.approx(
@@ -26,7 +26,7 @@ def test_microscope_has_parameters_of_table_5_1(column: str) -> None:
     assert np.all(scope.cell == 9.9)
 
 
-def test_thesis_stack_has_two_levels_of_blur() -> None:
+def test_thesis_stack_has_two_levels_of_blur():
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
     positions = 25.0 * np.arange(21)
     height = synthetic.parabolic_cylinder(SHAPE, 500.0)

@@ -69,7 +69,7 @@ def defaults(guide: str) -> dict[str, object]:
     return {n: ast.literal_eval(node.value) for n, node in zip(names, assigned, strict=True)}
 
 
-def test_every_guide_is_tested() -> None:
+def test_every_guide_is_tested():
     names = {path.stem.removeprefix("07_guide_") for path in ROOT.glob("notebooks/07_*.ipynb")}
     assert names == set(EVERY)
     contents = (ROOT / "book" / "_toc.yml").read_text()
@@ -77,7 +77,7 @@ def test_every_guide_is_tested() -> None:
 
 
 @pytest.mark.parametrize("guide", EVERY)
-def test_guide_has_common_structure(guide: str) -> None:
+def test_guide_has_common_structure(guide):
     intro = source(guide).cells[0].source
     for part in ("This guide ", "**What you need.**", f"07_guide_{guide} \\"):
         assert part in intro
@@ -92,7 +92,7 @@ def test_guide_has_common_structure(guide: str) -> None:
 
 
 @pytest.mark.parametrize(("guide", "parameter", "name"), [(g, *v) for g, v in GUIDES.items()])
-def test_guide_defaults_give_no_scale(guide: str, parameter: str, name: str) -> None:
+def test_guide_defaults_give_no_scale(guide, parameter, name):
     values = defaults(guide)
     assert values[parameter] == ""
     for scale in manifest()[name]["settings"]:
@@ -101,7 +101,7 @@ def test_guide_defaults_give_no_scale(guide: str, parameter: str, name: str) -> 
 
 
 @pytest.mark.parametrize("guide", EVERY)
-def test_executed_guide_compared_its_results_with_truth(guide: str, claims_folder: Path) -> None:
+def test_executed_guide_compared_its_results_with_truth(guide, claims_folder):
     path = claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb"
     cells = nbformat.read(path, as_version=4).cells
     text = str([one for cell in cells for one in cell.get("outputs", [])])
@@ -130,9 +130,7 @@ def run_here(guide: str, **values: object) -> None:
         ("servoing", "core must have a camera and an XY stage"),
     ],
 )
-def test_wrong_file_raises_one_clear_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, message: str
-) -> None:
+def test_wrong_file_raises_one_clear_line(tmp_path, monkeypatch, guide, message):
     if guide == "servoing":
         pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
     monkeypatch.chdir(tmp_path)
@@ -201,9 +199,7 @@ def executors(where: str) -> Iterator[dict[str, object]]:
 
 @pytest.mark.parametrize("where", ["processes", "dask"])
 @pytest.mark.parametrize("guide", RECIPES)
-def test_folder_recipe_writes_one_row_per_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guide: str, where: str
-) -> None:
+def test_folder_recipe_writes_one_row_per_file(tmp_path, monkeypatch, guide, where):
     """A damaged file has its error in its row; a second run evaluates only what has no row."""
     cell, name = RECIPES[guide]
     (recipe,) = [one.source for one in source(guide).cells if one.id == cell]
@@ -287,9 +283,7 @@ def test_printed_command_of_guide_runs(tmp_path, monkeypatch, capsys, guide, wor
             assert f"The true values of {mine} are not known" in text
 
 
-def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(tmp_path, monkeypatch, capsys):
     """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
     monkeypatch.chdir(tmp_path)
     numbers = {"dimple_radius": 246.95, "dimple_depth": 121.22, "force": 197.24}
@@ -301,9 +295,7 @@ def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(
     assert "no uniform stress balances this dimple" in text
 
 
-def test_servo_run_that_ends_early_keeps_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_servo_run_that_ends_early_keeps_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="the run ended early: target 0 is beyond the travel"):
         run_here("servoing", targets=[[400, 0]])

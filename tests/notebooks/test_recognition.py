@@ -46,9 +46,7 @@ def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, 
 
 @pytest.mark.parametrize(("ending", "pixel_size"), [("ome.tif", None), ("npy", 4.0)])
 @pytest.mark.parametrize("part", PARTS)
-def test_a_map_of_the_reader_is_named_by_labelled_maps(
-    tmp_path: Path, part: str, ending: str, pixel_size: float | None
-) -> None:
+def test_a_map_of_the_reader_is_named_by_labelled_maps(tmp_path, part, ending, pixel_size):
     for k, name in enumerate(PARTS):
         for seed in range(4):
             file = tmp_path / "labelled" / name / f"{seed}.{ending}"
@@ -57,19 +55,17 @@ def test_a_map_of_the_reader_is_named_by_labelled_maps(
     mine = tmp_path / f"mine.{ending}"
     write(mine, height(part, 99))
     names = run_cell(mine, tmp_path / "labelled", pixel_size)
-    assert names["answer"]["name"].tolist() == [part]  # type: ignore[index]
+    assert names["answer"]["name"].tolist() == [part]
     assert len(CELLS["rec-use"].splitlines()) <= 20
 
 
-def test_a_map_without_a_pixel_size_asks_for_it(tmp_path: Path) -> None:
+def test_a_map_without_a_pixel_size_asks_for_it(tmp_path):
     write(tmp_path / "labelled" / "cone" / "1.npy", height("cone", 1))
     with pytest.raises(ValueError, match=r"pixel_size must be given, as 1\.npy does"):
         run_cell(tmp_path / "mine.npy", tmp_path / "labelled", None)
 
 
-def test_the_printed_command_is_one_that_the_runner_understands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_printed_command_is_one_that_the_runner_understands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.ome.tif").touch()
     (tmp_path / "my_parts").mkdir()
