@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from microlib.embryo._wall import locate_wall
 
-D = np.arange(-5.0, 5.01, 0.5)
+D = np.arange(-6.0, 6.01, 0.5)
 
 
 def wall(d, shift, ground, step, bump, width):
@@ -21,8 +21,8 @@ def wall(d, shift, ground, step, bump, width):
 
 @settings(deadline=None, max_examples=25)
 @given(
-    shifts=st.lists(st.floats(-2.0, 2.0), min_size=5, max_size=20),
-    width=st.floats(0.8, 1.8),
+    shifts=st.lists(st.floats(-2.4, 2.4), min_size=5, max_size=20),
+    width=st.floats(0.7, 1.8),
     step=st.floats(-60, 60),
 )
 def test_position_is_exact_for_exact_profiles(shifts, width, step):
@@ -73,14 +73,8 @@ def test_position_is_nan_without_wall():
         locate_wall(profiles, D, weights=np.zeros_like(profiles))
 
 
-def test_wall_is_found_within_search_range_and_blur_range():
-    d = np.arange(-6.0, 6.01, 0.5)
-    for width in (0.7, 1.8):
-        exact = np.array([wall(d, s, 190.0, -27.0, -35.0, width) for s in (-2.4, 0.0, 2.4)])
-        found = locate_wall(exact, d, weights=np.ones_like(exact))
-        np.testing.assert_allclose(found.position, [-2.4, 0.0, 2.4], atol=0.02)
-        assert found.blur == pytest.approx(width, abs=0.02)
-    far = np.array([wall(d, s, 190.0, -27.0, -35.0, 1.1) for s in (-2.6, 0.0, 2.6)])
-    found = locate_wall(far, d, weights=np.ones_like(far))
+def test_wall_beyond_search_range_is_not_found():
+    far = np.array([wall(D, s, 190.0, -27.0, -35.0, 1.1) for s in (-2.6, 0.0, 2.6)])
+    found = locate_wall(far, D, weights=np.ones_like(far))
     assert np.isfinite(found.position).tolist() == [False, True, False]
     np.testing.assert_array_equal(np.isnan(found.std), np.isnan(found.position))
