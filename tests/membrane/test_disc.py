@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -61,20 +60,13 @@ def test_ratio_to_point_load_modulus_matches_independent_solver(
 )
 def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
     less, more = states = [indent_disc(k * F, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
-    energies, volumes = ([of(state) for state in states] for of in (energy_of(kw), volume_of))
+    energies = [stored(state, kw.get("law", "neo-hooke"), 1.0, H) for state in states]
+    # Between the disc and its rim's plane, that below the probe included.
+    volumes = [np.pi * C**2 * s.depth - np.trapezoid(2 * np.pi * s.r * s.z, s.r) for s in states]
     p = (less.pressure + more.pressure) / 2
     work = F * (more.depth - less.depth) - p * (volumes[1] - volumes[0])
     # The trapezoids' second differences over 4 % of the force.
     assert energies[1] - energies[0] == pytest.approx(work, rel=3e-4)
-
-
-def energy_of(kw: dict[str, Any]) -> Callable[[Any], float]:
-    return lambda state: stored(state, kw.get("law", "neo-hooke"), 1.0, H)
-
-
-def volume_of(state: Any) -> float:
-    """Between the disc and its rim's plane, that below the probe included."""
-    return -np.trapezoid(2 * np.pi * state.r * state.z, state.r) + np.pi * C**2 * state.depth
 
 
 def test_state_satisfies_boundary_conditions_and_force_balance() -> None:

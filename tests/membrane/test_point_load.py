@@ -129,13 +129,6 @@ def test_force_modulus_and_depth_invert_each_other(force, a, zeta, depth) -> Non
         assert float(dimple_depth(force, a, modulus, **data)) == pytest.approx(depth, rel=1e-12)
 
 
-def test_arguments_broadcast() -> None:
-    depths = np.array([[20.0], [40.0]])
-    got = elastic_modulus(np.array([10.0, 50.0, 90.0]), 250.0, depths, **FILM)
-    assert got.shape == (2, 3)
-    assert got[1, 1] == pytest.approx(float(elastic_modulus(**VALUES)), rel=1e-14)
-
-
 def test_dimple_covariance_replaces_two_standard_deviations() -> None:
     independent = {"dimple_radius": 1.0, "dimple_depth": 0.4}
     apart = modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.0], [0.0, 0.16]])
