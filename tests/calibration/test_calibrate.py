@@ -336,7 +336,6 @@ LINE = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
     [
         (WORLD[:4], IMAGE[:4], {}, "at least 5"),
         (WORLD, IMAGE[:-1], {}, "same length"),
-        (WORLD[:, :1], IMAGE, {}, "world"),
         (LINE, IMAGE[:9], {}, "world must not lie on one line"),
         (WORLD[:9], LINE, {}, "image must not lie on one line"),
         (np.zeros((9, 2)), IMAGE[:9], {}, "world"),
