@@ -63,7 +63,7 @@ def draw_focus(
     look: dict[str, Any] = {"cmap": "viridis", "vmin": None, "vmax": None, "extent": extent}
     seen = photograph(above, depth, "height from focus", **look)
     above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
-    lower.colorbar(seen, ax=above, shrink=0.8).ax.set_title("µm")
+    lower.colorbar(seen, ax=above, shrink=0.8).ax.set_title("µm", loc="left")
     across, middle = size * np.arange(cols), rows // 2
     profile.plot(across, scene.height[middle], color=COLORS["ink"], lw=1.2, label="true height")
     profile.plot(across, depth[middle], color=COLORS["blue"], label="from focus")
