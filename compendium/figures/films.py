@@ -30,7 +30,7 @@ from microlib.membrane import dimple_profile
 #: What one film may weigh.
 MOST_BYTES = 400_000
 #: Text and axes of a film: its contrast is 4:1 or more on a light and on a dark page.
-ON_BOTH = "#767676"
+ON_BOTH = "#7A7A7A"
 
 
 def film(
