@@ -146,11 +146,12 @@ def surface_curvature(
     pixel_size : float or tuple of float
         Distance of neighboring pixels on the object, µm; (x, y) if pixels are not square.
     size : int
-        Side of the windows, px, odd, at least 3. Smoothing and differentiation together use
-        2 `size` − 1 pixels on a side.
+        Side of the windows, px, odd, at least 3. Smoothing and differentiation together span 2
+        `size` − 1 pixels on a side.
     noise : float, optional
         Standard deviation of the height errors, µm, independent from pixel to pixel. The standard
-        errors are NaN without it. Rounding of the heights replaces it where rounding is larger.
+        errors are NaN without it. Where the rounding error of the heights is larger than `noise`,
+        the rounding error is used instead.
 
     Returns
     -------
@@ -173,16 +174,16 @@ def surface_curvature(
         different units.
 
     Notes
-    -----
-    The derivatives are the windows (3.15)–(3.19), applied as in (3.20)–(3.21) and divided by the
-    pixel size or its square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size,
-    which determines the units of H and K and of their thresholds.
+    ----- The derivatives are the windows (3.15)–(3.19), with the divisor of (3.19) corrected to 42,
+    applied as in (3.20)–(3.21) and divided by the pixel size or its square. H and K follow from
+    (3.22)–(3.23). The thesis omits the pixel size, which determines the units of H and K and of
+    their thresholds.
 
     The standard errors assume independent errors of the heights. The error of a second derivative
-    is `noise` times the root of the sum of the squares of its window. H is propagated to first
-    order. K is propagated to first and second order, because K of a plane is a product of errors.
-    Errors of the slopes are neglected: in pixels they are smaller by the ratio of the window to the
-    radius of curvature.
+    is `noise` times the root of the sum of the squares of its window. The errors are propagated to
+    H to first order, and to K to first and second order, because K of a plane is a product of
+    errors. Errors of the slopes are neglected: in pixels they are smaller by the ratio of the
+    window to the radius of curvature.
 
     A value depends on the pixels within `size` − 1 pixels alone. Tiles with this overlap, such as
     those of `dask.array.map_overlap`, have the curvature of the whole map.

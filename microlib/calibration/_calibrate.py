@@ -70,10 +70,10 @@ def calibrate(
 
     Notes ----- *Focal length.* Of the three lengths, the image of a plane determines only T_op + f
     and f + d. Perspective separates these two sums, and its effect decreases with the tilt. The
-    thesis therefore takes f from the manufacturer and computes d = f²/T_op (2.20), because the
-    plane is in focus. Without `focal_length`, the same condition leaves f as the one unknown
-    length. If 1/(T_op + f) is less than four standard deviations from zero, `undetermined` names f
-    and the angles of the tilt.
+    thesis therefore starts from the f of the manufacturer and computes d = f²/T_op (2.20), because
+    the plane is in focus. This function keeps a given `focal_length` fixed. Without `focal_length`,
+    the same condition leaves f as the one unknown length. If 1/(T_op + f) is less than four
+    standard deviations from zero, `undetermined` names f and the angles of the tilt.
 
     *Uncertainty.* The covariance includes the image noise, the correlation of the points of a mark,
     and errors of the printed pattern that are common to all views. If a lack-of-fit test of the
