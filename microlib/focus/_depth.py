@@ -130,8 +130,9 @@ def depth_from_focus(
     texture in JPEG, smoothed or quantized frames keeps a depth that is stated as certain in at most
     2 % of its pixels on average, up to 14 % in resized JPEG frames. Bars of 4 px have a wrong depth
     with a small uncertainty in 20 to 26 % of their pixels, bars of 8 px in up to 4 %. A pixel whose
-    best frame is the first or the last is flagged and gets that frame's position, unless the fit of
-    seven frames puts it further in. Equal maxima go to the first.
+    best frame is the first or the last is flagged in `at_end`. It gets the position of that frame
+    and the uncertainty of a random depth, unless the fit of seven frames finds a peak inside the
+    scan. Equal maxima go to the first.
 
     Blocks of a dask array are chunks of 1024 px, or as they are if their sides are multiples of
     64 px, with 128 px around them. They agree with the whole image to 0.004 of the frames' spacing.

@@ -211,10 +211,16 @@ def build_result(
         warps, gain, offset = registration.warps, registration.gain, registration.offset
     if margin is not None:
         known &= ~margin
-    relative = found.uncertainty / np.float32(found.spacing)
+    # A depth at an end of the scan may lie beyond it: it is as uncertain as a random depth.
+    low, high = np.float32(stack.positions.min()), np.float32(stack.positions.max())
+    to_end = np.minimum(found.depth - low, high - found.depth)
+    beyond = found.at_end & (to_end < found.spacing / 2)
+    random = np.float32((high - low) / np.sqrt(12))
+    uncertainty = np.where(beyond, np.hypot(found.uncertainty, random), found.uncertainty)
+    relative = uncertainty / np.float32(found.spacing)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
-        uncertainty=np.where(known, found.uncertainty, np.float32(np.nan)),
+        uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
         confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
         index=np.where(known, index, -1).astype(np.int32),
         all_in_focus=as_type(composite(stack.images, found.frame), dtype),

@@ -151,3 +151,18 @@ def test_drift_and_flicker_are_told_with_the_option_that_undoes_them(measure):
     for stack, word in ((moved, "position"), ((0.8 * gains * rest).astype(np.uint8), "light")):
         with pytest.warns(UserWarning, match=f"change in {word} .*register=True"):
             depth_from_focus(stack, z, measure=measure)
+
+
+@pytest.mark.parametrize("measure", ["multiscale", "sml"])
+@pytest.mark.parametrize("height", [-15.0, 115.0])
+def test_uncertainty_of_heights_beyond_the_scan_is_that_of_a_random_depth(
+    measure: str, height: float
+) -> None:
+    texture = synthetic.mixed_texture((64, 72), np.random.default_rng(0))
+    positions = np.arange(0, 110.0, 10)
+    depth = np.full(texture.shape, height)
+    frames = synthetic.focal_stack(texture, depth, positions, blur_rate=0.1, noise=2.0, rng=1)
+    found = depth_from_focus(frames, positions, measure=measure)
+    at_end = found.at_end & np.isfinite(found.depth)
+    assert at_end.mean() > 0.3
+    assert np.mean(found.uncertainty[at_end] >= np.float32(100 / np.sqrt(12))) > 0.98
