@@ -39,6 +39,7 @@ ORDERS = {
     "a counter from 9999 to 0001": [f"DSC_{(9993 + k) % 9999 + 1:04d}" for k in range(9)],
     "a counter from 999 to 000": [f"i{k % 1000:03d}" for k in range(995, 1004)],
     "the time beside the number": [f"f{k}_{12 + 7 * k}" for k in range(12)],
+    "digits before letters": ["2a1", "10a1", "10a2", "10b", "a", "a1", "a1b", "a02", "a10", "b1"],
     "long numbers": [f"{20240101120000000000 + k}" for k in range(9)],
 }
 
@@ -49,6 +50,7 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
     assert read(write(tmp_path, names)) == list(range(len(names)))
     assert read(f"{tmp_path}/*.png") == list(range(len(names)))
     assert [file.stem for file in read_frames(tmp_path).files] == names
+    assert read(tmp_path / f"{names[3]}.png") == [3]
 
 
 @pytest.mark.parametrize(
