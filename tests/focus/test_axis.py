@@ -28,7 +28,7 @@ def rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(error[8:-8, 8:-8] ** 2)))
 
 
-def test_width_of_a_known_peak():
+def test_peak_width_is_area_over_height():
     """The contrast of a checkerboard rises and falls as a triangle of known area over height."""
     y, x = np.indices((288, 288))
     board = np.where((x // 3 + y // 3) % 2 == 0, -1.0, 1.0)
@@ -53,14 +53,14 @@ def test_groups_are_even_means_of_frames_and_positions(factor):
         assert axis.means[k] == pytest.approx(positions[a:b].mean())
 
 
-def test_a_falling_stack_has_rising_steps():
+def test_steps_rise_for_falling_positions():
     axis = find_axis([np.full((48, 48), 7, np.uint8)] * 4, np.array([30.0, 20, 10, 0]), 3.7)
     np.testing.assert_allclose(axis.steps, [0, 1, 2, 3])
     found = axis.micrometers(np.array([-1.0, 0.25, 3.5], np.float32))
     np.testing.assert_allclose(found, [30.0, 27.5, 0.0])  # never outside of the stack
 
 
-def test_more_frames_never_hurt():
+def test_error_falls_with_the_number_of_frames():
     errors = []
     for factor in (1, 4, 12):
         height, positions, stack = tilted(factor)
@@ -72,7 +72,7 @@ def test_more_frames_never_hurt():
     assert errors[2] < 0.95 * errors[1]
 
 
-def test_the_ends_of_the_stack_are_reached_although_frames_are_averaged():
+def test_surface_at_the_end_of_an_averaged_stack_is_measured():
     """The first mean lies half a group inside; a surface in focus in the first frame lies not."""
     positions = np.linspace(0, 10, 81)
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
@@ -87,7 +87,7 @@ def test_the_ends_of_the_stack_are_reached_although_frames_are_averaged():
         assert found.at_end.mean() > 0.9
 
 
-def test_picture_and_index_come_from_the_frame_nearest_to_the_depth():
+def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth():
     _, positions, stack = tilted(4)
     for order in (1, -1):
         found = depth_from_focus(stack[::order], positions[::order])

@@ -30,7 +30,7 @@ def whole(stack):
     return depth_from_focus(stack, POSITIONS)
 
 
-def test_blocks_are_the_whole(stack, whole):
+def test_depth_of_blocks_equals_depth_of_whole_frames(stack, whole):
     blocks = depth_from_focus(da.from_array(stack, chunks=(4, 192, 192)), POSITIONS)
     assert blocks.depth.shape == SHAPE
     assert len(blocks.depth.chunks[0]) == 2
@@ -48,7 +48,7 @@ def test_blocks_are_the_whole(stack, whole):
     assert "not computed" in repr(blocks)
 
 
-def test_blocks_of_unlike_contrast_are_the_whole():
+def test_depth_of_blocks_of_different_contrast_equals_whole():
     """Bare ground is smoothed by what lies around it, by its strength in the whole image."""
     y, x = np.indices(SHAPE)
     texture = np.asarray(synthetic.mixed_texture(SHAPE, 2), float)
@@ -71,7 +71,7 @@ def test_chunks_of_any_shape_and_a_region(stack, whole):
     np.testing.assert_allclose(found, same, atol=0.02)
 
 
-def test_zarr_comes_in_and_goes_out(stack, tmp_path):
+def test_blocks_are_read_from_and_written_to_zarr(stack, tmp_path):
     zarr = pytest.importorskip("zarr")
     part = stack[:, :96, :128]
     store = zarr.create_array(tmp_path / "in.zarr", data=part, chunks=(1, 96, 128))
@@ -99,7 +99,7 @@ def test_zarr_comes_in_and_goes_out(stack, tmp_path):
         ({"region": "ab"}, r"region \(x, y, width, height\) must be"),
     ],
 )
-def test_what_blocks_cannot_do_is_refused(stack, change, words):
+def test_options_without_meaning_for_blocks_are_rejected(stack, change, words):
     arguments = {"frames": da.from_array(stack[:, :96, :96]), "positions": POSITIONS, **change}
     with pytest.raises(ValueError, match=words):
         depth_from_focus(**arguments)

@@ -22,7 +22,7 @@ def printed_correction(depth: np.ndarray, m: int, delta: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("m", "delta", "unknown"), [(9, 2.0, 0), (5, 1.0, 0), (3, 0.0, 0), (9, 2.0, 0.5)]
 )
-def test_correction_is_the_loop(m, delta, unknown):
+def test_correct_spikes_equals_equation_3_14_with_its_erratum(m, delta, unknown):
     """With half unknown, dividing by all would put the deviation √2 too low, or far too high."""
     rng = np.random.default_rng(m)
     depth = 500 + rng.standard_normal((20, 23))
@@ -63,7 +63,7 @@ def planes(depth, mass, jump, radius):
 
 
 @pytest.mark.parametrize("options", [{}, {"radius": 2.0}, {"radius": 4.4}])
-def test_smoothing_is_the_loop(options):
+def test_smooth_depth_equals_local_planes_by_least_squares(options):
     rng = np.random.default_rng(6)
     y, x = np.mgrid[:22, :25]
     depth = 0.02 * (x - 11) ** 2 + 0.3 * y + rng.standard_normal(x.shape)
@@ -74,12 +74,12 @@ def test_smoothing_is_the_loop(options):
     np.testing.assert_allclose(ours, wanted, atol=1e-4)
 
 
-def test_a_radius_below_half_a_pixel_smooths_nothing():
+def test_smooth_depth_with_radius_below_half_a_pixel_is_identity():
     depth = np.random.default_rng(5).standard_normal((9, 11))
     np.testing.assert_allclose(smooth_depth(depth, jump=9.0, radius=0.3), depth, atol=1e-12)
 
 
-def test_the_printed_condition_would_keep_only_the_spikes():
+def test_printed_condition_of_3_14_keeps_only_spikes():
     """Erratum: (3.14) as printed replaces what lies inside the band."""
     depth = np.random.default_rng(0).standard_normal((15, 15))
     depth[7, 7] = 100.0
@@ -116,7 +116,7 @@ def test_smoothing_cuts_noise_and_keeps_a_step():
     assert np.abs(error[:, 20:28]).max() < 0.2  # five times that, next to the step as well
 
 
-def test_unknown_depths_stay_unknown_and_do_not_matter():
+def test_smooth_depth_ignores_and_keeps_nan():
     depth = np.tile(np.arange(30.0), (30, 1))
     depth[10:14, 10:14] = np.nan
     smooth = smooth_depth(depth, jump=100.0)
@@ -125,7 +125,7 @@ def test_unknown_depths_stay_unknown_and_do_not_matter():
     np.testing.assert_allclose(smooth[known], depth[known], atol=0.06)  # stiffness at the border
 
 
-def test_a_map_of_unknown_depths_is_returned_as_another_one():
+def test_map_of_nan_is_returned_as_a_copy():
     unknown = np.full((9, 9), np.nan)
     for found in (correct_spikes(unknown), smooth_depth(unknown, jump=1.0)):
         assert np.isnan(found).all()

@@ -62,7 +62,7 @@ def printed_depth(stack: np.ndarray, positions: np.ndarray, window: int) -> np.n
 
 
 @pytest.mark.parametrize("window", [3, 5, 9])
-def test_sml_with_three_points_is_the_printed_method(dome, window):
+def test_depth_by_sml_equals_equation_3_13(dome, window):
     _, stack = dome
     stack = stack[:, :40, :44]
     ours = depth_from_focus(stack, POSITIONS, measure="sml", window=window)
@@ -73,7 +73,7 @@ def test_sml_with_three_points_is_the_printed_method(dome, window):
     np.testing.assert_allclose(ours.depth[known], printed[known], atol=1e-3)
 
 
-def test_default_finds_a_dome(dome):
+def test_default_measure_recovers_a_dome(dome):
     height, stack = dome
     result = depth_from_focus(stack, POSITIONS)
     # The limit set for a dome of a sixth of this curvature, at noise of 1 grey level.
@@ -84,7 +84,7 @@ def test_default_finds_a_dome(dome):
     assert rms(result.depth - height) < 0.6 * rms(fit_alone.depth - height)
 
 
-def test_a_step_stays_within_a_pixel_of_its_place():
+def test_depth_step_is_located_to_two_pixels():
     height = 60 + straight_step(SHAPE, 130.0)
     result = depth_from_focus(render(height), POSITIONS)
     wrong = np.abs(result.depth - height) > STEP
@@ -98,7 +98,7 @@ def test_a_step_stays_within_a_pixel_of_its_place():
     np.testing.assert_allclose(result.confidence, 1 / (1 + share**2), rtol=1e-4)
 
 
-def test_all_in_focus_is_nearer_to_the_texture_than_any_frame(dome):
+def test_all_in_focus_image_is_sharper_than_any_frame(dome):
     _, stack = dome
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
     fused = depth_from_focus(stack, POSITIONS).all_in_focus
@@ -114,7 +114,7 @@ def same(first: FocusResult, second: FocusResult) -> None:
 
 
 @pytest.mark.parametrize("measure", ["multiscale", "sml"])
-def test_threads_and_sources_change_nothing(dome, measure):
+def test_result_does_not_depend_on_workers_and_kind_of_frames(dome, measure):
     _, stack = dome
     whole = depth_from_focus(stack, POSITIONS, measure=measure)
     for frames in (iter(stack), (frame.copy() for frame in stack), list(stack)):
@@ -124,7 +124,7 @@ def test_threads_and_sources_change_nothing(dome, measure):
         same(depth_from_focus(stack, POSITIONS, measure=sum_modified_laplacian), whole)
 
 
-def test_strips_of_rows_are_not_seen(monkeypatch):
+def test_depth_does_not_depend_on_strips_of_rows(monkeypatch):
     """A strip sees 32 px around it, which is what the measures' windows reach."""
     height = 75 + synthetic.paraboloid((300, 64), 100.0)
     stack = render(height)
@@ -134,7 +134,7 @@ def test_strips_of_rows_are_not_seen(monkeypatch):
     np.testing.assert_allclose(strips.depth, whole.depth, atol=1e-4 * STEP)
 
 
-def test_a_region_is_that_part_of_the_frames(dome):
+def test_region_equals_cropped_frames(dome):
     _, stack = dome
     part = depth_from_focus(stack, POSITIONS, region=(8, 20, 60, 40))
     same(part, depth_from_focus(stack[:, 20:60, 8:68], POSITIONS))
@@ -143,7 +143,7 @@ def test_a_region_is_that_part_of_the_frames(dome):
     assert reduced.depth.shape == (48, 48)
 
 
-def test_the_last_bit_of_the_grey_levels_decides_nothing(dome):
+def test_rounding_of_grey_levels_and_positions_does_not_change_depth(dome):
     _, stack = dome
     rng = np.random.default_rng(0)
     grey = stack.astype(float)
@@ -154,7 +154,7 @@ def test_the_last_bit_of_the_grey_levels_decides_nothing(dome):
     np.testing.assert_array_equal(np.isnan(other.depth), np.isnan(plain.depth))
 
 
-def test_a_result_is_shown_in_a_line_and_compared_by_identity(dome):
+def test_result_has_a_repr_of_one_line_and_is_compared_by_identity(dome):
     _, stack = dome
     result = depth_from_focus(stack, POSITIONS)
     assert repr(result).startswith("FocusResult(96×96 px, ")
@@ -212,7 +212,7 @@ def test_rows_and_columns_are_alike(measure):
     assert np.mean(difference[np.isfinite(difference)] > 0.01 * STEP) < 0.03
 
 
-def test_uneven_positions_cost_little(dome):
+def test_depth_is_accurate_at_uneven_positions(dome):
     height, _ = dome
     positions = POSITIONS + STEP * np.array([0, 1, -1, 1, 0, -1, 1, -1, 0, 1, 0]) / 5
     for measure, limit in (("multiscale", 0.06), ("sml", 0.3)):
@@ -237,7 +237,7 @@ def test_peaks_at_the_ends_are_flagged():
 
 @pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize(("dtype", "drift"), [("u1", 0), ("u1", 5), ("u2", 5), ("f4", 5)])
-def test_nothing_to_focus_on_gives_no_depth(measure, dtype, drift):
+def test_depth_is_nan_where_frames_are_uniform(measure, dtype, drift):
     """Nor does a change of light alone."""
     frames = [np.full((40, 44), 77 + drift * k, dtype) for k in range(12)]
     result = depth_from_focus(frames, np.arange(12.0), measure=measure)
@@ -248,7 +248,7 @@ def test_nothing_to_focus_on_gives_no_depth(measure, dtype, drift):
 
 
 @pytest.mark.parametrize("count", [12, 31, 100])
-def test_noise_without_texture_gives_no_depth(count):
+def test_depth_is_nan_where_frames_show_only_noise(count):
     rng = np.random.default_rng(0)
     noise = np.clip(128 + 3 * rng.standard_normal((count, 96, 96)), 0, 255).astype(np.uint8)
     result = depth_from_focus(noise, np.arange(float(count)))
@@ -259,7 +259,7 @@ def test_noise_without_texture_gives_no_depth(count):
 
 @pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize("count", [3, 7, 12])
-def test_one_picture_many_times_has_no_depth(measure, count):
+def test_repeated_picture_has_no_certain_depth(measure, count):
     """Nor has the noise around it, whatever the picture shows and wherever its best frame is."""
     half = synthetic.mixed_texture((96, 120), np.random.default_rng(0))
     half[:, :60] = 128
@@ -284,7 +284,7 @@ def test_half_a_scene_without_texture_gets_no_depth_from_noise():
         assert np.isfinite(depth[:, 100:]).mean() < 0.01
 
 
-def test_light_that_spreads_from_an_edge_is_no_depth():
+def test_defocused_light_beside_an_edge_has_no_depth():
     """Out of focus, a bright bar reaches into the dark beside it, which has no texture at all."""
     texture = np.full(SHAPE, 40.0)
     texture[:, 44:52] = 240
@@ -301,7 +301,7 @@ def test_light_that_spreads_from_an_edge_is_no_depth():
     assert np.mean(np.abs(result.depth - height)[known] > STEP) * known.mean() < 0.03
 
 
-def test_more_than_256_frames_are_counted_right():
+def test_depth_is_right_beyond_256_frames():
     positions = np.arange(300.0)
     height = np.full((24, 24), 280.0)
     stack = synthetic.focal_stack(
@@ -344,13 +344,13 @@ def test_more_than_256_frames_are_counted_right():
         ({"frames": (f for f in np.zeros((0, 9, 9)))}, "frames must hold"),
     ],
 )
-def test_bad_input_is_refused_by_name(change, words):
+def test_contradictory_input_is_rejected_by_name(change, words):
     arguments = {"frames": np.zeros((4, 9, 9), np.uint8), "positions": np.arange(4.0), **change}
     with pytest.raises(ValueError, match=words):
         depth_from_focus(**arguments)
 
 
-def test_an_exception_of_progress_ends_the_work(dome):
+def test_exception_of_progress_ends_the_computation(dome):
     for last in (3, len(POSITIONS) + 1):
         told = []
 
@@ -364,7 +364,7 @@ def test_an_exception_of_progress_ends_the_work(dome):
         assert (np.array(told[:-1]) < last).all()
 
 
-def test_progress_is_told_by_the_thread_that_asked_for_the_depth():
+def test_progress_is_called_from_the_calling_thread():
     """And never less than before, with strips that end in another order than they begin."""
     stack = np.random.default_rng(0).integers(0, 256, (9, 1100, 40)).astype(np.uint8)
     told = []
@@ -390,7 +390,7 @@ def test_memory_does_not_grow_with_the_frames():
     assert peaks[1] < min(1.25 * peaks[0], 180)
 
 
-def test_ground_in_the_first_frame_is_known():
+def test_ground_in_focus_in_the_first_frame_has_depth():
     """Section 3.1.2 starts with the background in focus: no earlier frame is there to compare."""
     height = synthetic.parabolic_cylinder(SHAPE, 200.0, width=60.0)
     result = depth_from_focus(render(height), POSITIONS)
@@ -403,7 +403,7 @@ def test_ground_in_the_first_frame_is_known():
 
 @pytest.mark.parametrize("color", [False, True])
 @pytest.mark.parametrize("register", [False, True])
-def test_progress_goes_from_the_first_frame_to_the_end(color, register):
+def test_progress_rises_to_twice_the_number_of_frames(color, register):
     count = 9
     texture = synthetic.mixed_texture((40, 44), 0)
     height = 4.0 + tilted_plane((40, 44), 0.05, 0.02)

@@ -37,7 +37,7 @@ def test_the_ground_between_strokes_follows_a_tilted_board():
     assert np.mean(np.abs(error) > 1) < 0.01
 
 
-def test_a_thing_with_texture_of_its_own_keeps_its_depth():
+def test_textured_patch_above_strokes_keeps_its_depth():
     """A patch four frames higher than strokes that are brighter and take the wide window."""
     texture, height = lettering(), np.full(SHAPE, 5.0)
     patch = np.s_[76:116, 90:116]
@@ -48,7 +48,7 @@ def test_a_thing_with_texture_of_its_own_keeps_its_depth():
     assert np.mean(inside < 1) > 0.8
 
 
-def test_narrow_things_are_not_erased():
+def test_narrow_bars_keep_their_depth():
     """Bars four frames above the ground, narrower than the windows of the coarse measure."""
     height = np.full(SHAPE, 5.0)
     height[:, 76:88] = 9.0
@@ -58,7 +58,7 @@ def test_narrow_things_are_not_erased():
     assert np.sqrt(np.nanmean((found - height)[10:-10, 10:70] ** 2)) < 0.1
 
 
-def test_a_slope_is_right_up_to_the_border():
+def test_slope_is_accurate_up_to_the_border():
     """There the wide window sees the inner side only, and is late."""
     height = 7 + tilted_plane(SHAPE, 0.08, 0.02)
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(4), std=5)
@@ -81,7 +81,7 @@ def test_a_photograph_with_bare_ground_has_depth_nearly_everywhere():
     assert np.mean(np.abs(error[known]) > 1) < 0.003
 
 
-def test_beside_a_step_the_wide_depth_takes_no_place():
+def test_depth_beside_a_step_is_not_that_of_the_wide_window():
     """The wide window takes the better lit side's depth up to 26 px beyond the edge."""
     height = 3.2 + straight_step(SHAPE, 7.7)
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(1))
@@ -91,7 +91,7 @@ def test_beside_a_step_the_wide_depth_takes_no_place():
     assert wrong.mean() < 0.02  # 0.069 if the wide depth were taken
 
 
-def test_a_round_rim_stays_in_its_place():
+def test_round_rim_is_located():
     """The better textured side must not win beside it: the pixel's own light decides."""
     y, x = np.indices(SHAPE)
     distance = np.hypot(x - 77, y - 84)

@@ -41,7 +41,7 @@ def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.nd
 @pytest.mark.parametrize(
     ("w", "step", "threshold"), [(1, 1, 0), (2, 1, 100), (2, 2, 33.5), (4, 3, 0)]
 )
-def test_sml_is_the_printed_sum(dtype, w, step, threshold):
+def test_sml_equals_equations_3_11_and_3_12(dtype, w, step, threshold):
     rng = np.random.default_rng(w + step)
     image = rng.integers(0, 256, (14, 17)).astype(dtype)
     ours = sum_modified_laplacian(image, window=2 * w + 1, step=step, threshold=threshold)
@@ -49,7 +49,7 @@ def test_sml_is_the_printed_sum(dtype, w, step, threshold):
     np.testing.assert_array_equal(ours, printed_sml(image, w, step, threshold))
 
 
-def test_what_is_not_greater_than_the_threshold_is_not_summed():
+def test_sml_sums_values_above_the_threshold_only():
     spot = np.zeros((5, 5), np.uint8)
     spot[2, 2] = 10  # modified Laplacians of 40 there, of 10 at its neighbors
     assert sum_modified_laplacian(spot, window=3, threshold=9.9)[2, 2] == 80
@@ -57,7 +57,7 @@ def test_what_is_not_greater_than_the_threshold_is_not_summed():
     assert sum_modified_laplacian(spot, window=3, threshold=40)[2, 2] == 0
 
 
-def test_the_largest_possible_sml_does_not_overflow():
+def test_largest_sml_does_not_overflow():
     board = (255 * (np.indices((20, 20)).sum(axis=0) % 2)).astype(np.uint8)
     for window in (5, 7, 9):
         ours = sum_modified_laplacian(board, window=window)
@@ -67,7 +67,7 @@ def test_the_largest_possible_sml_does_not_overflow():
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 @pytest.mark.parametrize("window", [1, 5, 41])
-def test_sml_is_scipys_mean_even_where_the_window_exceeds_the_image(dtype, window):
+def test_sml_equals_scipy_filter_for_windows_larger_than_the_image(dtype, window):
     image = np.random.default_rng(0).integers(0, 256, (12, 13)).astype(dtype)
     found = sum_modified_laplacian(image, window=window, step=2)
     laplacian = sum_modified_laplacian(image, window=1, step=2).astype(float)
@@ -84,7 +84,7 @@ def test_sml_ignores_brightness_and_grows_with_contrast(seed, shift):
     np.testing.assert_array_equal(sum_modified_laplacian(2 * image), 2 * once)
 
 
-def test_second_differences_of_noise_are_on_average_what_is_said():
+def test_mean_second_difference_of_noise_equals_noise_gain():
     noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
     for sigma in (0.5, 0.8, 1.0):
         found = np.add(*_measure.abs_second_derivatives(noise, sigma)).mean()
@@ -92,7 +92,7 @@ def test_second_differences_of_noise_are_on_average_what_is_said():
         assert found == pytest.approx(_measure.noise_gain(sigma), rel=0.03)
 
 
-def test_directions_are_those_of_rows_and_columns():
+def test_second_derivatives_are_along_rows_and_columns():
     stripes = np.tile(100 * np.sin(np.arange(60.0)), (50, 1)).astype(np.float32)
     along, down = _measure.abs_second_derivatives(stripes, 0.8)
     # Of sin x the second difference is −4 sin² ½ sin x, and the Gaussian of σ takes e^(−σ²/2).
@@ -101,7 +101,7 @@ def test_directions_are_those_of_rows_and_columns():
     np.testing.assert_allclose(down, 0, atol=1e-3)  # float32 differences of 100
 
 
-def test_noise_level_finds_the_noise_beside_texture():
+def test_noise_level_is_that_of_untextured_ground():
     rng = np.random.default_rng(4)
     for sigma in (2.0, 5.0):
         frame = 128 + sigma * rng.standard_normal((200, 200))
@@ -120,7 +120,7 @@ TEXTURE = ndimage.gaussian_filter(np.random.default_rng(8).normal(0, 60, (40, 57
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("name", MEASURES)
-def test_a_measure_follows_the_orientation_of_the_image(name, kind):
+def test_measure_follows_flips_and_transposition(name, kind):
     """A measure of one direction would differ between an image and its transpose."""
     image = np.clip(TEXTURE + 128, 0, 255).astype(kind)
     plain = np.asarray(MEASURES[name](image, window=5), float)

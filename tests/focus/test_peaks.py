@@ -16,7 +16,7 @@ from microlib.focus.multiscale._fit import fit_peaks
     gaps=st.lists(st.floats(0.5, 1.5), min_size=6, max_size=6),
     falling=st.booleans(),
 )
-def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
+def test_peak_of_gaussian_profile_is_exact(center, width, gaps, falling):
     """Both fits are exact on a Gaussian, at uneven and falling positions too."""
     positions = np.concatenate([[0.0], np.cumsum(gaps)])
     if falling:
@@ -38,7 +38,7 @@ def test_gaussian_profiles_are_found_exactly(center, width, gaps, falling):
     assert found == pytest.approx(abs(center - positions[0]), abs=5e-4)
 
 
-def test_a_best_frame_at_an_end_has_to_be_better_than_its_neighbor():
+def test_peak_at_an_end_must_exceed_its_neighbor():
     window = np.array([[0, 5.0, 5], [5, 5, 0], [0, 5, 4], [4, 5, 0], [5, 5, 5]]).T[..., None]
     index = np.array([0, 4, 0, 4, 2])[:, None]
     found = three_point_peak(window, index, np.array([7.0, 8, 10, 13, 17]))
@@ -63,7 +63,7 @@ def documented_fit(profile, steps, best, reach):
     return steps[best] + center
 
 
-def test_the_fit_is_that_of_the_documented_weights():
+def test_fit_peaks_equals_polyfit_with_documented_weights():
     """On profiles with long tails, on which other weights give other depths."""
     rng = np.random.default_rng(0)
     steps = np.cumsum(rng.uniform(0.8, 1.2, 13))
@@ -77,7 +77,7 @@ def test_the_fit_is_that_of_the_documented_weights():
 
 
 @pytest.mark.parametrize("kind", [">f4", "<f2", ">f8", "longdouble", "int64", ">u2"])
-def test_a_window_may_be_of_any_numbers(kind):
+def test_three_point_peak_accepts_any_real_dtype(kind):
     profile = np.rint(1000 * np.exp(-((np.arange(5.0) - 2.25) ** 2) / 8))
     window, index = profile[1:4, None, None], np.full((1, 1), 2)
     expected = three_point_peak(window, index, np.arange(5.0))

@@ -134,12 +134,14 @@ CASES = [
 
 
 @pytest.mark.parametrize(("kind", "how", "limit"), CASES)
-def test_what_moves_and_flickers_is_undone(kind: str, how: dict[str, float], limit: float) -> None:
+def test_registration_removes_motion_and_flicker(
+    kind: str, how: dict[str, float], limit: float
+) -> None:
     found = registered(kind, 1, **how).depth
     assert ratio(kind, 1, found, how.get("level", 1.0)) < limit
 
 
-def test_the_poses_and_gains_are_the_true_ones() -> None:
+def test_registration_recovers_warps_and_gains() -> None:
     result = registered("tilt", 1, shift=0.5, drift=2.0, level=0.65)
     assert result.warps is not None
     assert result.gain is not None
@@ -155,7 +157,7 @@ def test_the_poses_and_gains_are_the_true_ones() -> None:
     np.testing.assert_array_equal(result.offset, 0)  # there are none
 
 
-def test_a_turn_is_the_true_one() -> None:
+def test_registration_recovers_a_rotation() -> None:
     poses = registered("tilt", 1, turn=3.0, scale=0.02).warps
     assert poses is not None
     true = np.deg2rad(3.0) * (np.arange(COUNT) - MIDDLE) / (COUNT - 1)
@@ -164,7 +166,7 @@ def test_a_turn_is_the_true_one() -> None:
     np.testing.assert_allclose(np.arctan2(poses[:, 0, 1], poses[:, 0, 0]), true, atol=2e-3)
 
 
-def test_colors_flicker_no_more() -> None:
+def test_registration_removes_flicker_of_each_color() -> None:
     frames, _ = scene("tilt", 1)
     grey = disturbed(frames, 1, flicker=0.15)
     result = depth_from_focus(np.repeat(grey[..., None], 3, axis=3), POSITIONS, register=True)
@@ -176,7 +178,7 @@ def test_colors_flicker_no_more() -> None:
     assert cv2.blur(off, (15, 15))[10:-10, 10:-10].std() < 1.0
 
 
-def test_offsets_are_found() -> None:
+def test_registration_recovers_offsets() -> None:
     frames, _ = scene("dome", 1)
     gain = 1.5 ** (np.arange(COUNT) / (COUNT - 1))
     stack = disturbed(frames, 1).astype(np.float32) * gain[:, None, None]
@@ -190,7 +192,7 @@ def test_offsets_are_found() -> None:
     np.testing.assert_allclose(result.offset[near], expected[near], atol=1.5 * gain.max())
 
 
-def test_what_a_frame_does_not_show_has_no_depth() -> None:
+def test_depth_is_nan_where_a_frame_shows_nothing() -> None:
     result = registered("flat", 2, shift=1.0)
     # In focus at frame 7, from frame 4 to 10 the image moves by ± 3 frames of 0.8 and 0.6 px.
     unknown = np.isnan(result.depth)
@@ -201,7 +203,7 @@ def test_what_a_frame_does_not_show_has_no_depth() -> None:
     assert (result.confidence[unknown] == 0).all()
 
 
-def test_a_foreign_frame_is_named_and_left_out() -> None:
+def test_foreign_frame_is_reported_and_left_out() -> None:
     frames, _ = scene("dome", 1)
     stack = disturbed(frames, 1)
     stack[5] = disturbed(scene("dome", 9)[0], 1)[5]
@@ -215,7 +217,7 @@ def test_a_foreign_frame_is_named_and_left_out() -> None:
     assert ratio("dome", 1, result.depth) < 1.25 * ratio("dome", 1, rest.depth)
 
 
-def test_stacks_without_a_common_scene_are_refused() -> None:
+def test_stacks_without_a_common_scene_are_rejected() -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (COUNT, 96, 96)).astype(np.uint8)
     with pytest.raises(ValueError, match=r"frames must show one scene .* frames 0, 1"):
@@ -227,7 +229,7 @@ def test_stacks_without_a_common_scene_are_refused() -> None:
         depth_from_focus(noise[:, :20], POSITIONS, register=True)
 
 
-def test_colors_and_iterators_are_registered_too() -> None:
+def test_color_frames_and_iterators_are_registered() -> None:
     frames, _ = scene("tilt", 1)
     grey = disturbed(frames, 1, shift=0.5)
     color = np.stack([grey, grey, 255 - grey], axis=-1)

@@ -97,7 +97,7 @@ def test_asymmetric_peaks_give_depths_within_what_is_stated():
         assert np.sqrt(np.mean(error**2)) < 2 * stated + 0.02  # peak locking of narrow peaks
 
 
-def test_a_bar_that_is_too_thin_says_so():
+def test_depth_of_a_too_thin_bar_is_uncertain():
     """Bars of 6 to 14 px, 12 frames above ground of the same texture, four draws."""
     rng, z = np.random.default_rng(3), 5.0 * np.arange(21)
     x = np.abs(np.arange(144) - 71.5) * np.ones((144, 1))
