@@ -84,7 +84,7 @@ def calibrate(
     A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴) and the principal point
     ("principal_x" and "principal_y", px from the middle of the image) are estimated if they lower
     the Bayesian information criterion. A point that the model with κ alone images at u, in µm from
-    the principal point, is then at u (1 + κ₂ r⁴) with r = |u|. The principal point of a single view
+    the principal point, is then at u (1 + κ₂ r⁴) with r = ‖u‖. The principal point of a single view
     is the middle of the image, as in the thesis.
 
     *Sign of the tilt.* Tilts (β, γ) and (−β, −γ) give the same image except for perspective. Both
