@@ -21,6 +21,7 @@ from microlib.focus._registration import register as find_registration
 from microlib.focus._result import DepthMap, FocusResult, build_result
 from microlib.focus._significance import peak_significance
 from microlib.focus._stack import Progress, Stack, margin_mask, read_stack, warn_of_changes
+from microlib.focus._symmetry import find_symmetry, shape_error
 from microlib.io import read_frames
 
 
@@ -119,12 +120,16 @@ def depth_from_focus(
     8. *Restore relief.* Depths from second derivatives along rows and down columns have nearly
        independent errors. Their covariance is that of the object and restores fine relief, where it
        is 2.5 standard deviations above that of noise; their difference gives the uncertainty.
-    9. *Correct biases*, towards the frame positions (peak locking) and by the asymmetric peaks of a
-       lens that moves. A quarter of the latter is part of the uncertainty.
+    9. *Correct biases.* If a lens moves, blur grows as |1/a − 1/b| and peaks are asymmetric. All
+       fits are then in a coordinate in which the peaks are symmetric, which is found from the
+       middles of the peaks at two heights. The bias towards the frame positions (peak locking) is
+       subtracted. The uncertainty contains the differences between the fit, these middles and a
+       narrower fit.
     10. *Fit at full size* where the depth is steep or has a step.
 
     With any other measure, three frames give the peak, (3.13), step 4 applies, and nothing is
-    corrected; `correct_spikes` and `smooth_depth` may follow.
+    corrected. The uncertainty contains the difference from the middles of the peaks. The functions
+    `correct_spikes` and `smooth_depth` may follow.
 
     Where a peak may be noise, the stated uncertainty is that of a random depth. Ground without
     texture in JPEG, smoothed or quantized frames keeps a depth that is stated as certain in at most
@@ -215,14 +220,29 @@ def three_point_depth(
     depth = three_point_peak(peaks.window, peaks.best, positions)
     significance = peak_significance(peaks.profiles, peaks.window[1], 3)
     depth[significance.insignificant] = np.nan
+    spacing = float(np.median(np.abs(np.diff(positions))))
     rough = _roughness(depth, positions, peaks.best)
+    bias = np.float32(_shape_error(peaks.profiles, positions, spacing))
+    random = np.float32(np.ptp(positions)) * significance.random_error
     return DepthMap(
         depth=depth,
-        uncertainty=np.hypot(rough, np.ptp(positions) * significance.random_error),
+        uncertainty=np.sqrt(rough * rough + bias * bias + random * random),
         frame=peaks.best,
         at_end=(peaks.best == 0) | (peaks.best == len(positions) - 1),
-        spacing=float(np.median(np.abs(np.diff(positions)))),
+        spacing=spacing,
     )
+
+
+def _shape_error(profiles: NDArray, positions: Array, spacing: float) -> float:
+    """Return the bias of three-point peaks by the shape of the profiles, µm."""
+    some = max(round(np.sqrt(profiles[0].size / 2000)), 1)
+    profiles = profiles[:, ::some, ::some]
+    _, centers = find_symmetry(profiles, positions, spacing)
+    best = np.clip(profiles.argmax(axis=0), 1, len(profiles) - 2)
+    around = best + np.arange(-1, 2)[:, None, None]
+    peaks = three_point_peak(np.take_along_axis(profiles, around, axis=0), best, positions)
+    way = np.sign(positions[-1] - positions[0])
+    return float(np.hypot(*shape_error(way * peaks, way * centers, way * positions)))
 
 
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:

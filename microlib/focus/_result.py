@@ -29,7 +29,9 @@ class FocusResult(Tidy):
         horizontal and by vertical detail), slopes and steps, where a pixel may belong to either
         side, illumination that changes from frame to frame, asymmetric peaks, and objects too thin
         to be resolved. It does not cover a bias of the whole map. With other measures it is the
-        roughness of the depth, which does not contain errors that are smooth over ten pixels.
+        roughness of the depth and the bias by asymmetric peaks and by peak locking, as far as the
+        middles of the peaks show it. It does not contain other errors that are smooth over ten
+        pixels.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from compendium.experiments.uncertainty import disc_blur, expose
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.scenes import tilted_plane
@@ -166,3 +167,28 @@ def test_uncertainty_of_heights_beyond_the_scan_is_that_of_a_random_depth(
     at_end = found.at_end & np.isfinite(found.depth)
     assert at_end.mean() > 0.3
     assert np.mean(found.uncertainty[at_end] >= np.float32(100 / np.sqrt(12))) > 0.98
+
+
+@pytest.mark.parametrize(("measure", "least"), [("multiscale", 0.9), ("sml", 0.6)])
+def test_intervals_contain_heights_whatever_the_shape_of_the_peaks(measure, least):
+    """Eight random planes behind a lens that moves; before, the shares were 0.54 and 0.58.
+
+    Blur is a disc or a Gaussian, so that peak locking differs. A bias is common to a whole plane,
+    so the share of one plane is near 0 or 1. With "sml" two of the eight are not covered.
+    """
+    rng, held, k = np.random.default_rng(11), [], np.arange(21.0)
+    for case in range(8):
+        texture = np.asarray(synthetic.mixed_texture((128, 128), rng), np.float32)
+        vertex, best = 10 ** rng.uniform(0.8, 1.7), rng.uniform(9, 12)
+        radii = rng.uniform(0.7, 1.0) * (vertex + best) * np.abs(k - best) / (vertex + k)
+        blurred = [
+            disc_blur(texture, radius)
+            if case % 2
+            else cv2.GaussianBlur(texture, (0, 0), np.hypot(0.5, radius / 2))
+            for radius in radii
+        ]
+        stack = np.stack([expose(image, rng) for image in blurred])
+        found = depth_from_focus(stack, k, measure=measure)
+        inside = np.abs(found.depth - best) < 1.96 * found.uncertainty
+        held.append(np.mean(inside[12:-12, 12:-12]))
+    assert np.mean(held) > least, np.round(held, 2)

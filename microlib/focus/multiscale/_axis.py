@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._filters import TINY, blur
+from microlib.focus._symmetry import Symmetry
 from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gain
 
 #: Tiles along each side of the image from which a stack's properties are estimated, their side,
@@ -35,15 +36,17 @@ class Axis:
     means, spacing
         Position of each group, and their distance, µm.
     steps : ndarray, shape (groups,)
-        Position of each group in spacings from the first; it always rises.
+        Coordinate of each group in spacings from the first; it always rises.
     noise : float
         Standard deviation of the noise of an averaged frame, grey levels.
     drift_bias : ndarray, shape (groups,)
         Bias of a depth near each group by illumination drift, averaged frames.
     locking : float
         Largest peak-locking bias, towards the nearest averaged frame.
-    asymmetry : (float, float)
-        Slope and value at 0 µm of the bias of a depth by asymmetric peaks, µm.
+    symmetry : Symmetry
+        Coordinate of the steps.
+    shape_error : (float, float)
+        Bias of a depth by the shape of the peaks, steps: constant, and between the frames.
     """
 
     ends: NDArray[np.intp]
@@ -54,14 +57,25 @@ class Axis:
     noise: float
     drift_bias: Array
     locking: float
-    asymmetry: tuple[float, float] = (0.0, 0.0)
+    symmetry: Symmetry
+    shape_error: tuple[float, float] = (0.0, 0.0)
 
     def micrometers(self, steps: NDArray) -> NDArray:
         """Return positions from steps, within the stack."""
-        z = self.positions
-        way = np.float32(np.sign(z[-1] - z[0]) * self.spacing)
-        low, high = np.float32(z.min()), np.float32(z.max())
-        return np.clip(np.float32(self.means[0]) + way * steps, low, high)
+        z, (first, unit) = self.positions, self._scale()
+        low, high = np.sort(self.symmetry.coordinate(z[[0, -1]])).astype(np.float32)
+        u = np.clip(np.float32(first) + np.float32(unit) * steps, low, high)
+        return np.clip(self.symmetry.position(u), np.float32(z.min()), np.float32(z.max()))
+
+    def step(self, z: NDArray) -> NDArray:
+        """Return the steps of positions."""
+        first, unit = self._scale()
+        return np.asarray((self.symmetry.coordinate(z) - first) / unit)
+
+    def _scale(self) -> tuple[float, float]:
+        """Return the coordinate of the first group, and that of one step further less this one."""
+        first = group_means(self.symmetry.coordinate(self.positions), self.ends)[0]
+        return float(first), float(np.sign(self.positions[-1] - self.positions[0]) * self.spacing)
 
     def frame(self, frames: Sequence[Image], k: int, view: tuple[slice, ...]) -> Image:
         """Return a part of the image in group k."""
@@ -71,6 +85,11 @@ class Axis:
 def averaged(frames: Sequence[Image]) -> Image:
     """Return the mean of some frames; a single one keeps its type."""
     return frames[0] if len(frames) == 1 else np.asarray(np.mean(frames, axis=0, dtype=np.float32))
+
+
+def group_means(values: Array, ends: NDArray[np.intp]) -> Array:
+    """Return the mean of a value of each frame over the frames of each group."""
+    return np.asarray(np.add.reduceat(values, ends[:-1]) / np.diff(ends))
 
 
 def tile_pixels(length: int) -> NDArray[np.intp]:
@@ -85,7 +104,9 @@ def sample_tiles(frame: Image) -> Image:
     return frame[rows][:, cols]
 
 
-def find_axis(tiles: Sequence[Image], positions: Array, target: float) -> Axis:
+def find_axis(
+    tiles: Sequence[Image], positions: Array, target: float, symmetry: Symmetry | None = None
+) -> Axis:
     """Return the groups in which a stack is averaged, their noise and their biases.
 
     Parameters
@@ -96,27 +117,38 @@ def find_axis(tiles: Sequence[Image], positions: Array, target: float) -> Axis:
         Position of each frame, µm.
     target : float
         Equivalent width that a peak shall have in averaged frames.
+    symmetry : Symmetry, optional
+        Coordinate in which the groups are equally long, by default equal numbers of frames.
     """
     count, width = len(tiles), peak_width(tiles)
     groups = max(count // max(round(width / target), 1), 3)
     ends = np.arange(groups + 1) * count // groups
+    spacing = float(np.median(np.abs(np.diff(group_means(positions, ends)))))
+    u = positions
+    if symmetry is not None:
+        u = symmetry.coordinate(positions)
+        if groups < count:
+            group = (np.abs(u - u[0]) / spacing + 0.5).astype(int)
+            starts = np.unique(group, return_index=True)[1]
+            ends = np.append(starts, count) if len(starts) > 2 else ends
+            groups = len(ends) - 1
     levels = np.array([float(np.mean(tile)) for tile in tiles])
-    means, light = (np.add.reduceat(v, ends[:-1]) / np.diff(ends) for v in (positions, levels))
-    spacing = float(np.median(np.abs(np.diff(means))))
+    means, light, u = (group_means(values, ends) for values in (positions, levels, u))
     # Of three, so that no single frame decides, such as a black one or one that is all in focus.
     samples = (averaged(tiles[ends[k] : ends[k + 1]]) for k in (0, groups // 2, groups - 1))
-    width = max(width * groups / count, 1.7)
+    width = max(width * float(np.median(np.abs(np.diff(positions)))) / spacing, 1.7)
     return Axis(
         ends=ends,
         positions=positions,
         means=means,
         spacing=spacing,
-        steps=np.abs(means - means[0]) / spacing,
+        steps=np.abs(u - u[0]) / spacing,
         noise=float(np.median([noise_level(sample) for sample in samples])),
         # The peak of the product has a standard deviation of 0.4 of its equivalent width.
         drift_bias=illumination_drift_bias(light, min(0.4 * width, 3.0)),
         # Half a frame over the fourth power of the width: 0.4 to 0.7 on nine textures.
         locking=0.5 / width**4,
+        symmetry=symmetry or Symmetry(),
     )
 
 

@@ -12,8 +12,8 @@ from microlib.focus._peaks import check_count, check_positions
 from microlib.focus._result import FocusResult, build_result
 from microlib.focus._stack import Stack
 from microlib.focus.multiscale._axis import Axis, tile_pixels
-from microlib.focus.multiscale._depth import describe_axis, multiscale_depth
-from microlib.focus.multiscale._fits import fit_stack
+from microlib.focus.multiscale._depth import multiscale_depth
+from microlib.focus.multiscale._fits import describe_axis, fit_stack
 from microlib.focus.multiscale._full_size import GRID
 from microlib.focus.multiscale._reject import typical
 from microlib.focus.multiscale._settings import Settings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,8 +10,8 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._result import DepthMap
-from microlib.focus.multiscale._axis import Axis, find_axis, sample_tiles
-from microlib.focus.multiscale._fits import Fits, fit_stack, peak_asymmetry
+from microlib.focus.multiscale._axis import Axis, sample_tiles
+from microlib.focus.multiscale._fits import Fits, describe_axis, fit_stack
 from microlib.focus.multiscale._full_size import fit_steps
 from microlib.focus.multiscale._measure import doubled
 from microlib.focus.multiscale._refine import enlarge, refine
@@ -79,21 +78,12 @@ def multiscale_depth(
     return _depth_map(depth[here], error[here], fits, axis)
 
 
-def describe_axis(tiles: Sequence[Image], positions: Array, settings: Settings) -> Axis:
-    """Return the groups of averaged frames of a stack and their biases, from its tiles."""
-    axis = find_axis(tiles, positions, settings.width)
-    return replace(axis, asymmetry=peak_asymmetry(tiles, axis, settings))
-
-
 def _depth_map(depth: NDArray, error: NDArray, fits: Fits, axis: Axis) -> DepthMap:
-    """Return depth and error in µm, without the bias of asymmetric peaks, and the frame numbers."""
-    low, high = np.float32(axis.positions.min()), np.float32(axis.positions.max())
-    slope, constant = (np.float32(value) for value in axis.asymmetry)
+    """Return depth and error in µm, and the frame numbers."""
     depth = axis.micrometers(depth)
-    bias = slope * depth + constant
-    # A quarter of the bias remains at most where it changes along the axis.
-    error = cv2.magnitude(error * np.float32(axis.spacing), bias / 4)
-    depth = np.clip(depth - bias, low, high)
+    error = error * np.float32(axis.spacing)
+    if axis.symmetry.bend:  # the steps are in another coordinate
+        error /= axis.symmetry.slope(depth)
     best = doubled(fits.best, depth.shape, cv2.INTER_NEAREST)
     order = np.argsort(axis.positions)
     nearest = np.rint(np.interp(depth, axis.positions[order], order))

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Image
+from microlib._common import Array, Image
 from microlib.focus._filters import halved
-from microlib.focus.multiscale._axis import Axis, every_other_tile
+from microlib.focus._symmetry import find_symmetry, shape_error
+from microlib.focus.multiscale._axis import Axis, every_other_tile, find_axis
 from microlib.focus.multiscale._fit import PeakTracker, fit_peaks
 from microlib.focus.multiscale._measure import NoiseFloor, measure
 from microlib.focus.multiscale._settings import Settings
@@ -148,51 +149,39 @@ def _track(
     return main, edge, wide
 
 
-def peak_asymmetry(tiles: Sequence[Image], axis: Axis, settings: Settings) -> tuple[float, float]:
-    """Return slope and value at 0 µm of the bias of a depth by asymmetric peaks, µm.
-
-    The blur of a lens that moves grows faster on one side of focus. A parabola is then biased by
-    the skewness times the mean square width of its weights, and twice the depth with half that mean
-    square less the depth itself is not (Richardson's extrapolation). Fitted to single frames.
+def describe_axis(tiles: Sequence[Image], positions: Array, settings: Settings) -> Axis:
+    """Return the groups of averaged frames of a stack and their biases.
 
     Parameters
     ----------
     tiles : sequence of ndarray
         The `sample_tiles` of each frame.
-    axis, settings
-        As for `fit_stack`.
+    positions : ndarray, shape (n,)
+        Position of each frame, µm.
+    settings : Settings
+        Settings of all steps.
     """
-    frames = [every_other_tile(image) for image in tiles]
-    z = axis.positions
-    spacing = float(np.median(np.abs(np.diff(z))))
+    axis = find_axis(tiles, positions, settings.width)
+    few = [every_other_tile(image) for image in tiles]
     single = replace(
-        axis, ends=np.arange(len(z) + 1), means=z, spacing=spacing, steps=np.abs(z - z[0]) / spacing
+        axis,
+        ends=np.arange(len(positions) + 1),
+        means=positions,
+        steps=np.arange(float(len(positions))),
     )
-    one = _track(frames, single, settings, slice(None))[0]
-    main = one if len(axis.steps) == len(z) else _track(frames, axis, settings, slice(None))[0]
-    wide, half = _clear_depth(one, single), _clear_depth(one, single, narrowing=np.sqrt(2))
-    found = _clear_depth(main, axis)
-    bias = found - (2 * half - wide)
-    known = np.isfinite(bias)
-    if known.sum() < 50:
-        return 0.0, 0.0
-    off = np.abs(bias - np.median(bias[known]))
-    known &= off <= 3 * np.median(off[known])
-    bias, found = bias[known], found[known]
-    # On a surface at one depth a slope would be that of noise.
-    degree = 1 if np.std(found) > 3 * np.std(bias) else 0
-    line = np.polyfit(found, bias, degree)
-    shift = np.polyval(line, found)
-    # Weak texture scatters by 0.3 of a step; symmetric peaks shift by up to 0.015.
-    if np.median(np.abs(shift)) < max(0.02 * axis.spacing, np.std(bias - shift) / 2):
-        return 0.0, 0.0
-    return (0.0, *line)[-2:]
-
-
-def _clear_depth(main: PeakTracker, axis: Axis, narrowing: float = 1.0) -> NDArray:
-    """Return the depth of the stronger half of the peaks away from the stack's ends, µm, or NaN."""
-    window = main.windows()[0]
-    depth, strength = fit_peaks(window, main.best, axis.steps, narrowing=narrowing)
-    inside = (main.best > 1) & (main.best < len(axis.steps) - 2)
-    clear = inside & (strength > np.median(strength))
-    return np.where(clear, axis.micrometers(depth), np.nan)
+    curves = _track(few, single, settings, slice(None))[0]
+    profiles = np.stack([halved(image) for image in curves.profiles(slice(None))])
+    symmetry, centers = find_symmetry(profiles, positions, axis.spacing)
+    if symmetry.bend:
+        axis = find_axis(tiles, positions, settings.width, symmetry)
+    if len(axis.steps) < len(positions):
+        curves = _track(few, axis, settings, slice(None))[0]
+    # What the shape of the peaks leaves shows between the fit, the center and a narrower fit.
+    window, best, steps = curves.windows()[0], curves.best, axis.steps
+    depth, narrow = (
+        halved(fit_peaks(window, best, steps, narrowing=factor)[0]) for factor in (1.0, np.sqrt(2))
+    )
+    center = axis.step(centers)
+    pairs = (shape_error(other, center, steps) for other in (depth, center + depth - narrow))
+    constant, periodic = np.hypot(*np.array(list(pairs)))
+    return replace(axis, shape_error=(float(constant), float(periodic)))

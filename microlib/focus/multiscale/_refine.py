@@ -17,6 +17,7 @@ from microlib.focus.multiscale._relief import (
     direction_offsets,
     error_variance,
     find_relief,
+    left_of_period,
     peak_locking_bias,
     step_height,
 )
@@ -57,12 +58,15 @@ def refine(
     )
     along, down, weight = direction_offsets(smooth, fits, axis, settings)
     relief, half_difference = find_relief(along, down, weight, settings)
-    locking = peak_locking_bias(smooth, axis)
+    left = left_of_period(smooth)
+    locking = peak_locking_bias(smooth, axis) * left
     depth = smooth - locking
     variance = error_variance(depth + relief, half_difference, peaks.disagreement, settings)
     drift = np.interp(np.nan_to_num(depth), axis.steps, axis.drift_bias).astype(np.float32)
     # Peak locking depends on texture: up to half of it remains.
     variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
+    constant, periodic = axis.shape_error
+    variance += np.float32(constant**2) + np.float32(periodic**2) * left**2
     # What is too thin for the windows has a peak of its own, by two measures.
     own = cv2.medianBlur(fill_nearest(fits.depth), 3)
     strength = np.minimum(relative(fits.strength, typical_strength), 1)

@@ -101,7 +101,7 @@ def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
     """Return the bias of a depth towards the nearest averaged frame, steps.
 
     A real profile is more pointed than a Gaussian, so that its fit is biased towards the nearest
-    frame, and the more so the narrower the peaks. On a slope the biases at many frames cancel.
+    frame, and the more so the narrower the peaks.
 
     Parameters
     ----------
@@ -112,9 +112,15 @@ def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
     """
     number = np.interp(np.nan_to_num(depth), axis.steps, np.arange(len(axis.steps)))
     number = number.astype(np.float32)
-    # The measures and the smoothing average over some 5 px of a slope.
-    left = np.exp(-((2 * np.pi * 5) ** 2) / 2 * _squared_slope(depth))
-    return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number) * left
+    return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number)
+
+
+def left_of_period(depth: NDArray) -> NDArray[np.float32]:
+    """Return the share of a bias with the period of the frames that a slope leaves.
+
+    The measures and the smoothing average over some 5 px.
+    """
+    return np.exp(np.float32(-((2 * np.pi * 5) ** 2) / 2) * _squared_slope(depth))
 
 
 def _squared_slope(depth: NDArray) -> NDArray:
