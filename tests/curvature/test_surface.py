@@ -160,14 +160,14 @@ def test_gaussian_error_matches_first_order_propagation_on_curved_surface():
     weights. Slopes are zero at the center, and the second order is 1e-6 of the first."""
     for bowl in ((X**2 + Y**2) / 40, (X**2 - Y**2) / 40, X * Y / 20, X**2 / 20 + X * Y / 30):
         noise, push = 1e-5, 1e-7
-        plane = surface_curvature(bowl, 1.0, noise=noise)
+        plane = surface_curvature(bowl, SIDES, noise=noise)
         squares = 0.0
         # One pixel after the other within the windows' reach of the center.
         for row in range(-6, 7):
             for column in range(-6, 7):
                 pushed = bowl[HALF - 6 : HALF + 7, HALF - 6 : HALF + 7].copy()
                 pushed[6 + row, 6 + column] += push
-                answer = surface_curvature(pushed, 1.0).gaussian[6, 6]
+                answer = surface_curvature(pushed, SIDES).gaussian[6, 6]
                 squares += ((answer - plane.gaussian[HALF, HALF]) / push) ** 2
         assert plane.gaussian_error[HALF, HALF] == pytest.approx(noise * squares**0.5, rel=2e-3)
 
@@ -180,8 +180,8 @@ def test_mean_error_matches_first_order_propagation_on_tilted_plane():
     for at in np.ndindex(13, 13):
         pushed = plane.copy()
         pushed[at] += push
-        squares += (surface_curvature(pushed, 1.0).mean[6, 6] / push) ** 2
-    found = surface_curvature(plane, 1.0, noise=1e-3)
+        squares += (surface_curvature(pushed, SIDES).mean[6, 6] / push) ** 2
+    found = surface_curvature(plane, SIDES, noise=1e-3)
     assert found.mean_error[6, 6] == pytest.approx(1e-3 * squares**0.5, rel=1e-4)
 
 
