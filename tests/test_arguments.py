@@ -229,7 +229,6 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "focus.correct_spikes.depth": (np.zeros(12), np.full((12, 12), np.inf)),
     "focus.depth_from_focus.positions": ([3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]),
     "focus.smooth_depth.depth": (np.full((44, 60), -np.inf),),
-    "focus.smooth_depth.weight": (np.zeros((43, 60)), np.full((44, 60), -1)),
     "focus.sum_modified_laplacian.step": (0, 99),
     "focus.three_point_peak.index": (np.full((44, 60), 10), np.full((44, 60), -1)),
     "focus.three_point_peak.positions": (np.arange(2.0), np.arange(10) // 2),

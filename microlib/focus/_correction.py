@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_map, positive, scalar, whole
+from microlib._common import Array, as_map, scalar, whole
 
 #: Pixels that are smoothed at a time: all their neighbors stay in the processor's cache, and the
 #: product of so few is not shared among threads, which took three times the time to wait.
@@ -92,9 +92,7 @@ def _median_of_known(z: Array, n: int) -> Array:
     return result
 
 
-def smooth_depth(
-    depth: ArrayLike, *, jump: float, radius: float = 7.0, weight: ArrayLike | None = None
-) -> Array:
+def smooth_depth(depth: ArrayLike, *, jump: float, radius: float = 7.0) -> Array:
     """Smooth a depth map by planes fitted around every pixel, on its own side of a step.
 
     Parameters
@@ -107,8 +105,6 @@ def smooth_depth(
     radius : float
         Standard deviation of the Gaussian that weights neighbors by distance, px. It is cut off
         at twice that.
-    weight : array_like, shape (rows, cols), optional
-        Weight of each depth, zero or positive, such as the inverse of its variance.
 
     Returns
     -------
@@ -118,8 +114,7 @@ def smooth_depth(
     Raises
     ------
     ValueError
-        If the map is not two-dimensional or infinite somewhere, a length is not positive, or
-        `weight` is negative, not finite or of another shape.
+        If the map is not two-dimensional or infinite somewhere, or a length is not positive.
 
     Notes
     -----
@@ -142,16 +137,13 @@ def smooth_depth(
     z = as_map("depth", depth)
     limit = scalar("jump", jump, above=0)
     sigma = scalar("radius", radius, above=0, most=250)
-    weights = np.ones_like(z) if weight is None else positive("weight", weight, zero=True)
-    if weights.shape != z.shape:
-        raise ValueError(f"weight must have the shape {z.shape} of depth, got {weights.shape}")
-    return smooth_planes(z, weights, jump=limit, sigma=sigma)
+    return smooth_planes(z, np.ones_like(z), jump=limit, sigma=sigma)
 
 
 def smooth_planes(
     depth: NDArray, weight: NDArray, *, jump: float, sigma: float, workers: int = 1
 ) -> NDArray:
-    """Do the work of `smooth_depth`; depth and result in the type of `depth`."""
+    """Do the work of `smooth_depth` for depths that have weights; the type is that of `depth`."""
     unknown = np.isnan(depth)
     if unknown.all():
         return depth.copy()
