@@ -73,8 +73,9 @@ def depth_from_focus(
         Side of the square blocks of pixels that become one, for a quick preview.
     progress : callable, optional
         Called with the number of parts of the work that are done, and of all: one for each frame
-        that is read, and as many again for the depth. An exception from it ends the work. This,
-        `measure`, `register`, `reduce` and `workers` are not for dask and zarr arrays.
+        that is read, and as many again for the depth. An exception from it ends the work. The
+        options `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask
+        and zarr arrays.
 
     Returns
     -------
@@ -87,9 +88,9 @@ def depth_from_focus(
     ------
     ValueError
         If there are fewer than three frames or not as many as positions; frames differ in size or
-        type, are no images, not finite or beyond ±10¹⁰, or differ in time or channel and not in
+        type, are no images, not finite or beyond ±10¹⁰, or differ in time or channel instead of
         focus; positions are not finite, not strictly monotonic, or not known; a file cannot be
-        read, or an option is out of range or none that this measure or array can use. With
+        read; or an option is out of range or does not apply to this measure or array. With
         `register`, if less than half of the frames show one scene.
 
     Warns
@@ -108,18 +109,21 @@ def depth_from_focus(
        the frame smoothed with σ = 0.8 px, and of the frame at half its size with σ = 1 px.
     3. *Fit.* A parabola is fitted to the logarithm of the measure in seven frames, because Gaussian
        blur makes the measure nearly a Gaussian of the distance from focus, (3.9).
-    4. *Reject noise.* A depth is NaN where blocks of 8 px have no peak in common with their
-       neighbors that exceeds their differences twice.
-    5. *Choose.* At a step, a difference of 1.5 averaged frames, a pixel gets the depth of its own
-       side. A window of 52 px gives the depth where the narrow ones contain defocused light only.
-    6. *Reject.* A depth is NaN where two measures disagree by 0.3 averaged frames and no wide
-       window confirms it; where its peak is five times lower than those around and two frames away
-       from them, in the halo of a strong edge; in pieces of up to 12 pixels; and where half of the
-       neighborhood is unknown.
+    4. *Reject noise.* A depth is NaN where a block of 8 px and its neighbors have no common peak
+       that is twice as high as the differences between these blocks, and where the peak is also
+       less than 2.5 times the mean of the profile.
+    5. *Choose.* A step is a difference of 1.5 averaged frames or more. There a pixel gets the depth
+       of its own side. Where the usual windows contain defocused light only, a window of 52 px
+       gives the depth.
+    6. *Reject.* A depth is NaN in four cases: two measures disagree by 0.3 averaged frames and no
+       wide window confirms the depth; the pixel lies in the halo of a strong edge, so that its peak
+       is five times lower than the peaks around it and two frames away from them; the connected
+       region has at most about 48 pixels; half of the neighborhood is unknown.
     7. *Smooth.* Planes are fitted as by `smooth_depth`, with a radius of 7 px.
     8. *Restore relief.* Depths from second derivatives along rows and down columns have nearly
-       independent errors. Their covariance is that of the object and restores fine relief, where it
-       is 2.5 standard deviations above that of noise; their difference gives the uncertainty.
+       independent errors. Their covariance is therefore that of the object. It restores fine relief
+       where it exceeds the covariance of noise by 2.5 standard deviations. The difference of the
+       two depths gives the uncertainty.
     9. *Correct biases.* If a lens moves, blur grows as |1/a − 1/b| and peaks are asymmetric. All
        fits are then in a coordinate in which the peaks are symmetric, which is found from the
        middles of the peaks at two heights. The bias towards the frame positions (peak locking) is
@@ -131,16 +135,17 @@ def depth_from_focus(
     corrected. The uncertainty contains the difference from the middles of the peaks. The functions
     `correct_spikes` and `smooth_depth` may follow.
 
-    Where a peak may be noise, the stated uncertainty is that of a random depth. Ground without
-    texture in JPEG, smoothed or quantized frames keeps a depth that is stated as certain in at most
-    2 % of its pixels on average, up to 14 % in resized JPEG frames. Bars of 4 px have a wrong depth
-    with a small uncertainty in 20 to 26 % of their pixels, bars of 8 px in up to 4 %. A pixel whose
-    best frame is the first or the last is flagged in `at_end`. It gets the position of that frame
-    and the uncertainty of a random depth, unless the fit of seven frames finds a peak inside the
-    scan. Equal maxima go to the first.
+    Where a peak may be noise, the stated uncertainty is that of a uniform distribution over the
+    scan. Ground without texture in JPEG, smoothed or quantized frames keeps a depth that is stated
+    as certain in at most 2 % of its pixels on average, up to 14 % in resized JPEG frames. Bars of 4
+    px have a wrong depth with a small uncertainty in 20 to 26 % of their pixels, bars of 8 px in up
+    to 4 %. A pixel whose best frame is the first or the last is flagged in `at_end`. It gets the
+    position of that frame and the uncertainty of a random depth, unless the fit of seven frames
+    finds a peak inside the scan. Of equal maxima, the first frame is taken.
 
-    Blocks of a dask array are chunks of 1024 px, or as they are if their sides are multiples of
-    64 px, with 128 px around them. They agree with the whole image to 0.004 of the frames' spacing.
+    The blocks of a dask array are its chunks if their sides are multiples of 64 px, and chunks of
+    1024 px otherwise. Each block is computed with an overlap of 128 px. They agree with the whole
+    image to 0.004 of the frames' spacing.
 
     References
     ----------
