@@ -245,7 +245,7 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         return (points - image).ravel(), jacobian.reshape(-1, len(start))[:, free]
 
     given = views.focal_length
-    need = "world and image must fit one microscope, none was found: leave out the odd views"
+    need = "world and image must fit one microscope, none was found: leave out the outlying views"
     if given is not None:
         need = f"focal_length must fit each view in focus, got {given:g} µm: better leave it out"
     if not np.isfinite(evaluate(start[free].tobytes())[0]).all():  # outside the domain of distort

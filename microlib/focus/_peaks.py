@@ -32,7 +32,7 @@ def check_positions(
         )
     z = as_array("positions", positions, shape=(None,))
     if not 3 <= len(z) < 2**16:  # frames are counted in 16 bits
-        raise ValueError(f"positions must be at least three, at most 65535, got {len(z)}")
+        raise ValueError(f"positions must hold 3 to 65535 values, got {len(z)}")
     for at in np.flatnonzero(np.diff(z) * np.sign(z[-1] - z[0]) <= 0):
         raise ValueError(
             f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
@@ -43,7 +43,7 @@ def check_positions(
 def check_count(got: int | str, count: int) -> None:
     """Raise an error if there are not as many frames as positions."""
     if got != count:
-        raise ValueError(f"frames and positions must be as many, got {got} and {count}")
+        raise ValueError(f"frames and positions must be equal in number, got {got} and {count}")
 
 
 def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
@@ -91,7 +91,8 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     if index.dtype.kind not in "ui" or index.size == 0:
         raise ValueError(f"index must hold whole numbers, got {index.dtype} of {index.shape}")
     if index.max() >= len(z) or index.min() < 0:
-        raise ValueError(f"index must hold numbers of the {len(z)} positions, got {index.max()}")
+        wrong = index[(index < 0) | (index >= len(z))][0]
+        raise ValueError(f"index must hold numbers of the {len(z)} positions, got {wrong}")
     values = as_array("window", window, shape=(3, *index.shape))
     if values.min() < 0:
         raise ValueError(f"window must hold measures of zero or more, got {values.min():g}")

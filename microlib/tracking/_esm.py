@@ -309,7 +309,7 @@ def check_texture(template: Template) -> None:
     smooth, sharp = template.smooth, template.sharp
     if smooth.contrast < 0.01 * sharp.contrast:
         raise ValueError(
-            f"box must hold details of more than a px, got a contrast of {sharp.contrast:.3g} of "
+            f"box must hold texture coarser than 1 px, got a contrast of {sharp.contrast:.3g} of "
             f"which a blur of {smooth.smoothing:g} px leaves {smooth.contrast:.3g}"
         )
     gradient = sharp.slope.astype(np.float64)

@@ -92,7 +92,7 @@ def test_blocks_are_read_from_and_written_to_zarr(stack, tmp_path):
         ({"workers": 2}, "workers must not be given for a dask"),
         ({"progress": print}, "progress must not be given for a dask"),
         ({"window": 5}, "window must not be given with measure 'multiscale'"),
-        ({"positions": [0, 1, 2]}, "frames and positions must be as many, got 11 and 3"),
+        ({"positions": [0, 1, 2]}, "frames and positions must be equal in number, got 11 and 3"),
         ({"positions": None}, "positions or spacing must be given"),
         ({"region": (0, 0, 900, 20)}, "region must lie in the image of 96×96 px"),
         ({"region": (0, 0, 10)}, r"region \(x, y, width, height\) must be 4 numbers"),
