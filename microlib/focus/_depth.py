@@ -124,11 +124,11 @@ def depth_from_focus(
        independent errors. Their covariance is therefore that of the object. It restores fine relief
        where it exceeds the covariance of noise by 2.5 standard deviations. The difference of the
        two depths gives the uncertainty.
-    9. *Correct biases.* If a lens moves, blur grows as |1/a − 1/b| and peaks are asymmetric. All
-       fits are then in a coordinate in which the peaks are symmetric, which is found from the
-       middles of the peaks at two heights. The bias towards the frame positions (peak locking) is
-       subtracted. The uncertainty contains the differences between the fit, these middles and a
-       narrower fit.
+    9. *Correct biases.* If a lens moves, blur grows with the difference of 1/a and 1/b, and peaks
+       are asymmetric. All fits are then in a coordinate in which the peaks are symmetric, which is
+       found from the middles of the peaks at two heights. The bias towards the frame positions
+       (peak locking) is subtracted. The uncertainty contains the differences between the fit, these
+       middles and a narrower fit.
     10. *Fit at full size* where the depth is steep or has a step.
 
     With any other measure, three frames give the peak, (3.13), step 4 applies, and nothing is
