@@ -141,7 +141,9 @@ def execute(
                 traceback.print_exc(file=file)
             message = one_line(f"{type(error).__name__}: {error}".partition("\n")[0])
         finally:
-            ensure_event_loop().close()  # of this thread, which nbclient leaves open
+            loop = ensure_event_loop()  # of this thread, which nbclient leaves open
+    if not loop.is_running():
+        loop.close()
         try:
             notebook = nbformat.read(made, as_version=4)
         except (OSError, ValueError):  # never written, or cut off on a full disk
