@@ -142,8 +142,8 @@ def execute(
             message = one_line(f"{type(error).__name__}: {error}".partition("\n")[0])
         finally:
             loop = ensure_event_loop()  # of this thread, which nbclient leaves open
-    if not loop.is_running():
-        loop.close()
+            if not loop.is_running():  # a caller's own loop is not ours to close
+                loop.close()
         try:
             notebook = nbformat.read(made, as_version=4)
         except (OSError, ValueError):  # never written, or cut off on a full disk
