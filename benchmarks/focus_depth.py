@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
+from compendium.experiments.disc_blur import disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus._measures import MEASURES
@@ -52,15 +53,6 @@ class Scene:
 
 
 # --- The renderer --------------------------------------------------------------------------------
-
-
-def disc(radius: float) -> NDArray:
-    """Return a disc of unit sum, its edge drawn eight times finer than a pixel."""
-    half = int(np.ceil(radius)) + 1
-    place = (np.arange(8 * (2 * half + 1)) + 0.5) / 8 - half - 0.5
-    fine = (np.add.outer(place**2, place**2) <= radius**2).astype(np.float32)
-    kernel = fine.reshape(2 * half + 1, 8, 2 * half + 1, 8).mean(axis=(1, 3))
-    return kernel / kernel.sum()
 
 
 def spread(image: NDArray, sigma: float, *, discs: bool) -> NDArray:

@@ -17,9 +17,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.focus_depth import blended, disc
+from benchmarks.focus_depth import blended
 from benchmarks.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, paired_times, rms
+from compendium.experiments.disc_blur import disc
 from microlib.focus import depth_from_focus
 
 #: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.

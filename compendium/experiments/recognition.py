@@ -19,6 +19,7 @@ from scipy.spatial.distance import cdist
 from scipy.stats import binomtest
 from skimage.measure import label as connected
 
+from compendium.experiments.disc_blur import disc
 from microlib.curvature import HK_NAMES, hk_labels, surface_curvature
 from microlib.focus import correct_spikes, depth_from_focus
 from microlib.synthetic import mixed_texture
@@ -99,21 +100,12 @@ def surface(part: Part, pose: Pose) -> tuple[NDArray, NDArray]:
     return low, ground
 
 
-def _disc(radius: float) -> NDArray:
-    """Return a disc of unit sum, its edge drawn eight times finer than a pixel."""
-    side = 2 * int(np.ceil(radius)) + 3
-    place = (np.arange(8 * side) + 0.5) / 8 - side / 2
-    fine = np.add.outer(place**2, place**2) <= radius**2
-    kernel = fine.reshape(side, 8, side, 8).mean(axis=(1, 3))
-    return kernel / kernel.sum()
-
-
-DISCS = [_disc(radius) for radius in RADII]
+DISCS = [disc(radius) for radius in RADII]
 
 
 def blur(image: NDArray, height: NDArray) -> NDArray:
     """Return an image in each frame, each pixel blurred by the disc of its height's defocus."""
-    ladder = np.stack([cv2.filter2D(image.astype(np.float32), -1, disc) for disc in DISCS])
+    ladder = np.stack([cv2.filter2D(image.astype(np.float32), -1, kernel) for kernel in DISCS])
     radius = np.hypot(SHARPEST, BLUR_RATE * (height - POSITIONS[:, None, None]))
     place = np.interp(radius, RADII, np.arange(len(RADII)))
     lower = np.minimum(place.astype(int), len(RADII) - 2)

@@ -13,6 +13,7 @@ from scipy import ndimage
 from scipy.stats import norm
 from skimage import data
 
+from compendium.experiments.disc_blur import disc_blur
 from microlib import synthetic
 from microlib.calibration import calibrate
 from microlib.embryo import modulus_from_image
@@ -39,15 +40,6 @@ def coverage(error: NDArray, std: NDArray) -> pd.Series:
 
 
 # --- Heights -------------------------------------------------------------------------------------
-
-
-def disc_blur(image: NDArray, radius: float) -> NDArray:
-    """Convolve an image with a uniform disc, whose edge is drawn eight times finer than a pixel."""
-    half = int(np.ceil(radius)) + 1
-    place = (np.arange(8 * (2 * half + 1)) + 0.5) / 8 - half - 0.5
-    fine = (np.add.outer(place**2, place**2) <= max(radius, 0.3) ** 2).astype(np.float32)
-    kernel = fine.reshape(2 * half + 1, 8, 2 * half + 1, 8).mean(axis=(1, 3))
-    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT))
 
 
 def expose(image: NDArray, rng: np.random.Generator, noise: float = 2.0) -> NDArray[np.uint8]:

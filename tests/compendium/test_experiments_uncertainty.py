@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments import uncertainty
+from compendium.experiments.disc_blur import disc_blur
 
 
 def test_coverage_of_normal_errors_is_the_level():
@@ -23,7 +24,7 @@ def test_coverage_leaves_out_pixels_without_a_height():
 def test_disc_blur_keeps_the_sum_and_has_the_variance_of_a_disc(radius):
     point = np.zeros((41, 41), np.float32)
     point[20, 20] = 1.0
-    blurred = uncertainty.disc_blur(point, radius)
+    blurred = disc_blur(point, radius)
     x = np.arange(41.0) - 20
     assert blurred.sum() == pytest.approx(1, abs=1e-5)
     # A uniform disc has the variance r²/4 along each axis, and a pixel adds 1/12.

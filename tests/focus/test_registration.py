@@ -14,20 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from compendium.experiments.disc_blur import disc_blur
 from microlib.focus import FocusResult, depth_from_focus
 
 SIDE, MARGIN, COUNT = 160, 24, 15
 POSITIONS = np.arange(float(COUNT))
 MIDDLE = COUNT // 2
-
-
-def disc(image: NDArray, radius: float) -> NDArray:
-    """Blur by a disc whose edge is sampled finely."""
-    half, fine = int(np.ceil(radius)) + 1, 8
-    grid = (np.arange((2 * half + 1) * fine) + 0.5) / fine - half - 0.5
-    inside = (grid[:, None] ** 2 + grid**2 <= max(radius, 0.3) ** 2).astype(float)
-    kernel = inside.reshape(2 * half + 1, fine, 2 * half + 1, fine).mean(axis=(1, 3))
-    return cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
 
 
 @cache
@@ -47,7 +39,7 @@ def scene(kind: str, seed: int) -> tuple[NDArray, NDArray]:
         "flat": np.full((side, side), 7.3),
     }[kind]
     radii = np.linspace(0, 20, 61)
-    blurred = np.stack([disc(texture, radius) for radius in radii])
+    blurred = np.stack([disc_blur(texture, radius) for radius in radii])
     frames = np.empty((COUNT, side, side))
     for frame, position in zip(frames, POSITIONS, strict=True):
         place = 1.5 * np.abs(depth - position) * 3

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from compendium.experiments.uncertainty import disc_blur, expose
+from compendium.experiments.disc_blur import disc_blur
+from compendium.experiments.uncertainty import expose
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.scenes import tilted_plane
