@@ -72,7 +72,7 @@ def _plain_number(text: str) -> float:
 def resolve_scales(
     a: argparse.Namespace, *names: str, **from_file: float | None
 ) -> dict[str, float]:
-    """Return and print each scale, as given or from the file; raise for those that are missing."""
+    """Return and print each scale, as given or from the file; raise if a scale is missing."""
     given = {name: getattr(a, name) for name in names}
     values: dict[str, Any] = given | {n: from_file.get(n) for n in names if given[n] is None}
     missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]

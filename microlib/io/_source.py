@@ -15,7 +15,7 @@ from microlib._common import Array
 #: Raw frames, each with its name in error messages.
 NamedFrames = Iterator[tuple[str, NDArray]]
 
-#: The channel, time and series that were asked for; a reader removes those that it applied.
+#: The channel, time and series that were asked for; a reader removes the ones it applied.
 Choice = dict[str, int]
 
 

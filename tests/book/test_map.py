@@ -83,14 +83,14 @@ def test_imported_packages_are_read_from_code(tmp_path: Path) -> None:
     assert imported(tmp_path) == imported(tmp_path / "one") == {"a", "c", "g"}
 
 
-def test_the_map_has_every_section_promise_and_sentence() -> None:
+def test_map_lists_every_section_promise_and_sentence() -> None:
     want = {f"section-{number}" for number in SECTIONS}
     want |= {f"promise-{k}" for k in range(1, PROMISES + 1)}
     want |= {f"sentence-{n}.{k}" for n, last in SENTENCES.items() for k in range(1, last + 1)}
     assert set(WHOLE) - set(THESIS) == want
 
 
-def test_what_the_map_points_to_exists() -> None:
+def test_targets_of_the_map_exist() -> None:
     sources = [*(ROOT / "notebooks").glob("*.ipynb"), *(ROOT / "book").glob("*.md")]
     text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
     labels = set(re.findall(r'^\s*"?\(([\w-]+)\)=', text, re.M))

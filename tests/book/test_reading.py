@@ -220,7 +220,7 @@ def test_print_view_has_whole_code_and_no_navigation(page: Page, html: Path) -> 
     assert wrong == []
 
 
-def test_no_line_of_text_begins_with_percent_sign() -> None:
+def test_text_lines_do_not_begin_with_percent_sign() -> None:
     """In the book's markup a line that begins with a percent sign is a comment."""
     texts = {path.name: path.read_text("utf-8") for path in (ROOT / "book").glob("*.md")}
     for path in (ROOT / "notebooks").glob("*.ipynb"):

@@ -40,7 +40,7 @@ def test_sensitivities_are_those_of_the_closed_form():
 
 
 @pytest.mark.parametrize("std", [0.05, 0.1, 0.2, 1.0])
-def test_the_power_is_that_of_drawn_comparisons(std):
+def test_power_equals_share_of_detected_simulated_differences(std):
     first, second = np.random.default_rng(1).normal(0, std, (2, 100_000))
     differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
     # Four standard errors of a share of 100 000.

@@ -1,4 +1,4 @@
-"""Parts are rendered as geometry has them, described alike from every side, and told apart."""
+"""Rendered parts have their true geometry, and descriptions do not depend on the pose."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ POSES = {"flat": Pose(), "tilted": Pose(turn=0.4, tilt=0.25, towards=1.1, scale=
 
 
 @pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
-def test_a_ball_has_its_curvature_and_height_in_every_pose(pose):
+def test_rendered_ball_has_true_curvature_and_height_in_every_pose(pose):
     height, _ = recognition.surface(PARTS["solder ball"], pose)
     radius = RADIUS * pose.scale
     # The middle of the ball is one radius above the ground, along its normal.
@@ -34,7 +34,7 @@ def test_a_ball_has_its_curvature_and_height_in_every_pose(pose):
     np.testing.assert_allclose(bend.mean[top], -1 / radius, rtol=0.06)
 
 
-def test_the_ground_is_a_plane_of_the_tilt():
+def test_rendered_ground_is_a_plane_with_the_given_tilt():
     _, ground = recognition.surface(PARTS["cone"], POSES["tilted"])
     slope_y, slope_x = np.gradient(ground, PIXEL)
     np.testing.assert_allclose(np.hypot(slope_x, slope_y), np.tan(0.25), rtol=1e-9)

@@ -101,7 +101,7 @@ def detect_circles(
     distortion, the center of the ellipse is not the image of the center of the circle. This bias is
     computed with a map from the grid to the image that is fitted to the points, and subtracted.
 
-    An image of nothing but the grid is thresholded. In other images, circles are searched among the
+    An image with only the grid is thresholded. In other images, circles are searched among the
     closed contours of many grey levels, dark and bright.
 
     Examples
@@ -155,7 +155,7 @@ def detect_squares(
     is a product of four blurred half-planes, which is exact for a right angle under a Gaussian
     point-spread function.
 
-    An image of nothing but the grid is thresholded. In other images, squares are searched among the
+    An image with only the grid is thresholded. In other images, squares are searched among the
     closed contours of many grey levels, dark and bright. The corners of a chessboard are saddle
     points of the smoothed image. Dark and bright are exchanged from each corner to the next along
     an edge; a lattice is grown by this rule. Corners around which the image does not correlate with

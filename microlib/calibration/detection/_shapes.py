@@ -27,13 +27,13 @@ from microlib.calibration.detection._outlines import (
 )
 
 # Parameters of an ellipse: its center, the shape matrix A with |A·(x − center)| = 1 on the ellipse,
-# then those that all outlines have.
+# then the parameters that all outlines have.
 CENTER, _SHAPE = slice(0, 2), slice(2, 5)
 #: Least divisor, at the center of an ellipse, where no fitted pixel is.
 _LEAST = 1e-9
 
 # Parameters of lines, the four of a quadrilateral or the two at a corner of a board: angles of the
-# (outward) normals, distances from the origin of the patch, then those that all outlines have.
+# (outward) normals, distances from the origin of the patch, then the common parameters.
 #: Corners of a square about its middle, in sides, along the lattice's two steps; line k leads from
 #: the corner before to corner k.
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -83,7 +83,7 @@ class FittedMarks(Rows):
 
 
 def fit_marks(marks: Marks, grid: NDArray[np.intp], steps: Array, kind: str) -> FittedMarks:
-    """Fit marks; return those that lie in the image and are fitted as well as the others."""
+    """Fit marks; return the marks that lie in the image and are fitted as well as the others."""
     model = _MODELS[kind]
     fit = model.fit(marks, steps)
     points, sigma, ellipses = model.locate(fit)

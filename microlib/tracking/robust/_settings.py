@@ -45,7 +45,7 @@ class Settings:
     beam_share : float
         Score over that of the best start that such a start needs.
     least_score : float
-        Score (nats) that such a start needs; a hopeless frame then costs no photometric fit.
+        Score (nats) that such a start needs; below it no photometric fit is made.
     blurs : tuple of float
         Standard deviations (px) of the blurs of the template.
     bias_splines : int
