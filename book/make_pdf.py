@@ -124,6 +124,7 @@ def combine(html: Path, pages: list[str]) -> str:
     """Return one page of many, with contents behind the first; of one, that page alone."""
     home = (html / f"{pages[0]}.html").read_text(encoding="utf-8")
     head = home[home.index("<head>") : home.index("</head>")]
+    head = TITLE.sub(f"<title>{title_of(html, pages[0])}</title>", head)
     parts = [
         f'<section class="printed-page" id="{slug(page)}">{gather(html, page, pages)}</section>'
         for page in pages
