@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -99,4 +100,6 @@ def test_results_do_not_depend_on_unit_of_grey_levels(name: str, unit: float) ->
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e4, 2e7])
 def test_template_of_very_low_or_high_contrast_is_tracked(unit: float) -> None:
-    np.testing.assert_allclose(followed(unit), followed(1.0), atol=1e-5)
+    # OpenCV 4 rounds places to 1/32 px, so the last step depends on how the levels are rounded.
+    within = 1e-4 if cv2.__version__ < "5" else 1e-5
+    np.testing.assert_allclose(followed(unit), followed(1.0), atol=within)
