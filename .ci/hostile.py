@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -47,15 +48,18 @@ def slow(function: Callable[[Path], str]) -> Callable[[Path], str]:
 
 
 def plant(clone: Path, source: str, name: str = "01_introduction") -> None:
-    """Replace a notebook by a short one."""
+    """Replace a notebook by a short one that has its labels, to which other pages refer."""
+    file = clone / "notebooks" / f"{name}.ipynb"
+    text = "\n".join(cell.source for cell in nbformat.read(file, as_version=4).cells)
+    labels = re.findall(r"^\(.+\)=$", text, re.MULTILINE)
     cells = [
-        new_markdown_cell("# 1 Introduction", id="title"),
+        new_markdown_cell("\n".join([*labels, "# 1 Introduction"]), id="title"),
         new_code_cell('record = ""', id="parameters", metadata={"tags": ["parameters"]}),
         new_code_cell(source, id="planted"),
     ]
     spec = {"name": "python3", "display_name": "Python 3", "language": "python"}
     notebook = new_notebook(cells=cells, metadata={"kernelspec": spec})
-    nbformat.write(notebook, clone / "notebooks" / f"{name}.ipynb")
+    nbformat.write(notebook, file)
 
 
 def run(
