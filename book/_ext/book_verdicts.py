@@ -276,7 +276,7 @@ class Differences(SphinxDirective):
             if claim.verdict == "disagrees":
                 thesis = f"The thesis prints {printed(claim)}."
                 if not claim.printed:
-                    thesis = f"The thesis: {claim.says}. For this sentence {claim.rule}."
+                    thesis = f"The thesis states: {claim.says}. For this sentence {claim.rule}."
                 what, where, thesis, note = (
                     escape(text, quote=False)
                     for text in (claim.what, claim.where, thesis, claim.note)
@@ -307,7 +307,7 @@ class Deviations(SphinxDirective):
                 rule = f"{capital(claim.rule)}. The reason: {claim.reason}."
                 groups.setdefault(rule, []).append(claim)
         lines = [
-            f"- {rule} ({', '.join(html_link(c.id, 'claims', f'claim-{c.id}') for c in alike)})"
+            f"- *{'; '.join(html_link(c.what, 'claims', f'claim-{c.id}') for c in alike)}.* {rule}"
             for rule, alike in groups.items()
         ]
         return parse_lines(self, lines, nodes.container()).children

@@ -11,7 +11,11 @@
       const field = document.createElement(name === "text" ? "input" : "select");
       field.name = name;
       if (name === "text") field.type = "search";
-      else for (const value of ["", ...new Set(rows.map((row) => known[row.id][name]))]) field.add(new Option(value || "all", value));
+      else {
+        const values = [...new Set(rows.map((row) => known[row.id][name]))];
+        if (name === "part") values.sort(); // the rows are ordered by verdict
+        for (const value of ["", ...values]) field.add(new Option(value || "all", value));
+      }
       const label = document.createElement("label");
       label.append(`${title} `, field);
       form.append(label);
