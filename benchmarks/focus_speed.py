@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from functools import partial
 from time import process_time
 
 import cv2
-import dask
-import dask.array as da
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.report import Limits, Tables, rms
+from benchmarks.report import Limits, Tables, paired_times
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.scenes import straight_step, tilted_plane
@@ -26,11 +24,11 @@ from tests.scenes import straight_step, tilted_plane
 #: Frames and their side, px.
 COUNT, SIDE = 21, 1024
 POSITIONS = np.arange(float(COUNT))
-ROUNDS = 3
+ROUNDS, PASSES = 3, 50
 
 TIME = "CPU time of one thread, 21 frames of 1024×1024, passes of cv2.boxFilter 5×5"
-FIRST = "CPU time of the import, and of a first call"
-BLOCKS = "Blocks of a dask array against the whole image, steps"
+FIRST = "CPU time of registration, of the import, and of a first call"
+REGISTERED = "depth of 512×512 px with registration over that without"
 MEMORY = "Peak memory beyond the frames, bytes a pixel"
 
 
@@ -56,25 +54,12 @@ def scenes() -> dict[str, NDArray]:
     return found
 
 
-def boxes(stack: NDArray, buffer: NDArray) -> None:
-    for frame in stack:
-        cv2.boxFilter(frame, cv2.CV_32F, (5, 5), dst=buffer)
-
-
-def passes(stack: NDArray, call: Callable[[], object]) -> tuple[float, float]:
-    """Return least and median ratio of a call to as long a time of box filters around it."""
+def boxes(stack: NDArray) -> None:
+    """Filter the frames so many times that it takes about as long as a depth."""
     buffer = np.empty(stack.shape[1:], np.float32)
-    call()
-    ratios = []
-    for _ in range(ROUNDS):
-        times = []
-        for work, times_done in ((None, 25), (call, 1), (None, 25)):
-            start = process_time()
-            for _ in range(times_done):
-                work() if work else boxes(stack, buffer)
-            times.append((process_time() - start) / times_done)
-        ratios.append(2 * times[1] / (times[0] + times[2]))
-    return min(ratios), float(np.median(ratios))
+    for _ in range(PASSES):
+        for frame in stack:
+            cv2.boxFilter(frame, cv2.CV_32F, (5, 5), dst=buffer)
 
 
 def in_new_process(code: str) -> float:
@@ -121,21 +106,6 @@ print((peak() - before) / {SIDE}**2)
 """
 
 
-def blocks(stacks: dict[str, NDArray]) -> pd.DataFrame:
-    """Return how far the depth of blocks is from that of the whole image."""
-    rows = []
-    for name, stack in stacks.items():
-        whole = depth_from_focus(stack, POSITIONS).depth
-        for side in (256, 512):
-            chunks = da.from_array(stack, chunks=(COUNT, side, side))
-            with dask.config.set(scheduler="synchronous"):
-                depth = depth_from_focus(chunks, POSITIONS).depth.compute()
-            off = np.abs(depth - whole)
-            lost = float(np.mean(np.isnan(depth) != np.isnan(whole)))
-            rows.append((name, side, rms(off), float(np.nanmax(off)), lost))
-    return pd.DataFrame(rows, columns=["scene", "block, px", "RMS", "largest", "NaN in one"])
-
-
 NOTE = """\
 The time is processor time of one thread, in units of one pass of OpenCV's 5×5 box filter over the
 same frames. Both are measured in turn. On a machine that runs other programs, the ratio of both
@@ -151,29 +121,36 @@ def main() -> tuple[Tables, Limits]:
     }
     slope = stacks["slope"]
     calls["slope, SML"] = slope, lambda: depth_from_focus(slope, POSITIONS, measure="sml")
-    times = {name: passes(*call) for name, call in calls.items()}
+    times = {}
+    for name, (stack, call) in calls.items():
+        *_, ratio = paired_times(call, partial(boxes, stack), rounds=ROUNDS, clock=process_time)
+        times[name] = PASSES * ratio
+    part = slope[:, :512, :512]
+    *_, registered = paired_times(
+        lambda: depth_from_focus(part, POSITIONS, register=True),
+        lambda: depth_from_focus(part, POSITIONS),
+        rounds=ROUNDS,
+        clock=process_time,
+    )
     first = {
+        REGISTERED: registered,
         "import microlib.focus, s": in_new_process(IMPORT),
         "first call of a process over the next": in_new_process(CALL),
     }
     memory = in_new_process(WEIGH)
-    rows = [(name, round(low, 1), round(middle, 1)) for name, (low, middle) in times.items()]
+    rows = [(name, round(ratio, 1)) for name, ratio in times.items()]
     tables = {
-        TIME: pd.DataFrame(rows, columns=["scene", "least", "median"]),
+        TIME: pd.DataFrame(rows, columns=["scene", "passes, median"]),
         FIRST: pd.DataFrame([(k, round(v, 2)) for k, v in first.items()], columns=["what", "CPU"]),
-        BLOCKS: blocks(stacks),
         MEMORY: pd.DataFrame([("default", round(memory))], columns=["what", "bytes"]),
     }
-    found = tables[BLOCKS]
     limits: Limits = [
-        ("default depth of a slope, passes", times["slope"][0], "≤", 70),
-        ("default depth of a step, passes", times["step"][0], "≤", 75),
-        ("default depth of a step with holes, passes", times["step, holes"][0], "≤", 75),
+        ("default depth of a slope, passes", times["slope"], "≤", 70),
+        ("default depth of a step, passes", times["step"], "≤", 75),
+        ("default depth of a step with holes, passes", times["step, holes"], "≤", 75),
         ("first call over the next", first["first call of a process over the next"], "≤", 1.5),
+        ("registration over depth alone, 512×512", registered - 1, "≤", 1.0),
         ("import, s", first["import microlib.focus, s"], "≤", 0.6),
         ("memory, bytes a pixel", memory, "≤", 180),
-        ("blocks: RMS difference, worst", found["RMS"].max(), "≤", 0.004),
-        ("blocks: largest difference, worst", found["largest"].max(), "≤", 0.02),
-        ("blocks: share where one is NaN, worst", found["NaN in one"].max(), "≤", 1e-4),
     ]
     return tables, limits

@@ -1,6 +1,6 @@
 """Focal stacks that moved and flickered: depth after registration over that of the stack at rest.
 
-Run as ``python -m benchmarks registration``; takes some five minutes. The renderers share nothing
+Run as ``python -m benchmarks registration``; takes two minutes. The renderers share nothing
 with the method: blur is a disc, gathered at each pixel or followed along rays through an aperture,
 motion is applied to finished frames, light and noise after that. The textures and seeds are not
 those that the method was made with.
@@ -9,8 +9,6 @@ those that the method was made with.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from time import process_time
 
 import cv2
 import numpy as np
@@ -19,8 +17,9 @@ from numpy.typing import NDArray
 
 from benchmarks.focus_depth import blended
 from benchmarks.photographs import middle, photograph
-from benchmarks.report import Limits, Tables, paired_times, rms
+from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.disc_blur import disc
+from microlib import synthetic
 from microlib.focus import depth_from_focus
 
 #: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.
@@ -33,25 +32,17 @@ SIDE = 192
 
 RATIO_TABLE = "RMS depth error after registration over that of the stack at rest"
 WITHOUT_TABLE = "The same without registration"
-SIZE_TABLE = "Processor time of registration over that of the depth alone"
 
 
 # --- Scenes --------------------------------------------------------------------------------------
 
 
 def _texture(name: str, seed: int, side: int) -> NDArray:
-    """Return a photograph's middle, or grain of several sizes, of 40 grey levels about 128."""
+    """Return a photograph's middle, or grain of several sizes, of 38 grey levels about 128."""
     if name == "grain":
-        rng = np.random.default_rng(seed)
-        grains = (
-            cv2.GaussianBlur(rng.standard_normal((side, side)), (0, 0), sigma)
-            for sigma in (0.7, 1.5, 3.0, 6.0, 12.0)
-        )
-        grey: NDArray = np.sum([grain / grain.std() for grain in grains], axis=0)
-    else:
-        grey = middle(photograph(name), side)
-    grey = grey - grey.mean()
-    return 128 + grey * 38 / grey.std()
+        return synthetic.mixed_texture((side, side), np.random.default_rng(seed), mean=128, std=38)
+    grey = middle(photograph(name), side)
+    return 128 + (grey - grey.mean()) * 38 / grey.std()
 
 
 def _surface(kind: str, side: int) -> NDArray:
@@ -234,28 +225,6 @@ def over_scenes(ratios: dict[str, list[float]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# --- Cost --------------------------------------------------------------------
-
-
-def cost() -> pd.DataFrame:
-    """Return the processor time of registration beside that of the depth."""
-    rows = []
-    for side in (256, 512, 1024):
-        depth = _surface("dome", side + 2 * MARGIN)
-        frames = gathered(_texture("grain", 1, side + 2 * MARGIN), depth)
-        stack = disturbed(frames, 1, shift=0.5, flicker=0.05)
-        both, alone, ratio = paired_times(
-            partial(depth_from_focus, stack, POSITIONS, register=True),
-            partial(depth_from_focus, stack, POSITIONS),
-            rounds=3,
-            clock=process_time,
-        )
-        name = f"{side}×{side}, {COUNT} frames"
-        rows.append((name, f"{alone:.2f}", f"{both:.2f}", round(ratio - 1, 2)))
-    columns = ["stack", "depth, s", "registered, s", "registration over depth"]
-    return pd.DataFrame(rows, columns=columns)
-
-
 def limits(tables: Tables) -> Limits:
     means = tables[RATIO_TABLE].set_index("disturbance")["mean"]
     lines = [
@@ -266,9 +235,6 @@ def limits(tables: Tables) -> Limits:
     lines.append(("drift 2×: error over that with the true gains", over, "≤", 1.05))
     offsets = means[[name for name in means.index if "offset" in name]]
     lines.append(("the same with offsets, worst mean", offsets.max(), "≤", OFFSET_LIMIT))
-    times = tables[SIZE_TABLE].set_index("stack")["registration over depth"]
-    large = times[f"512×512, {COUNT} frames"]
-    lines.append(("registration over depth alone, processor time, 512×512", large, "≤", 1.0))
     return lines
 
 
@@ -287,9 +253,5 @@ code with the method.
 
 def main() -> tuple[Tables, Limits]:
     registered, plain = ratios(first_seed=20)
-    tables = {
-        RATIO_TABLE: registered,
-        WITHOUT_TABLE: plain,
-        SIZE_TABLE: cost(),
-    }
+    tables = {RATIO_TABLE: registered, WITHOUT_TABLE: plain}
     return tables, limits(tables)

@@ -63,10 +63,11 @@ def esm(pair: WarpedPair, motion: str) -> Found:
     return None if track.lost else (track.corners, track.iterations)
 
 
-def ecc(pair: WarpedPair, motion: str, filter_size: int) -> Found:
+def ecc(pair: WarpedPair, motion: str, filter_size: int, start: Array | None = None) -> Found:
+    """Register from where the template was, or from its first corner in the last frame."""
     x, y, width, height = pair.box
     warp = np.eye(3, dtype=np.float32)
-    warp[:2, 2] = x, y
+    warp[:2, 2] = (x, y) if start is None else start
     warp = warp if motion == "homography" else warp[:2]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-6)
     template = pair.first[y : y + height, x : x + width]
@@ -269,8 +270,7 @@ def losses(frames: int = 40) -> pd.DataFrame:
             box = (x - corner[0] + 20, y - corner[1] + 20, SIDE, SIDE)
             corner = corner - 20
             columns = np.indices((FRAME, FRAME))[1]
-            tracker, warp = None, np.eye(2, 3, dtype=np.float32)
-            warp[:, 2] = box[:2]
+            tracker, at = None, np.array([box[:2]], float)
             for k in range(frames):
                 by = 8 * np.array([np.sin(k / 12), 1 - np.cos(k / 15)])
                 motion = np.array([[1, 0, by[0]], [0, 1, by[1]], [0, 0, 1.0]])
@@ -288,14 +288,10 @@ def losses(frames: int = 40) -> pd.DataFrame:
                 error = np.abs(track.corners[0] - box[:2] - by).max()
                 ours += not track.lost and error < 1
                 silent += not track.lost and error > 3
-                template = first[box[1] : box[1] + SIDE, box[0] : box[0] + SIDE]
-                try:
-                    _, warp = cv2.findTransformECC(
-                        template, frame, warp, cv2.MOTION_TRANSLATION, (3, 60, 1e-4), None, 5
-                    )
-                except cv2.error:
-                    continue
-                theirs += np.abs(warp[:, 2] - box[:2] - by).max() < 1
+                peer = ecc(WarpedPair(first, frame, box, at), "translation", 5, at[0])
+                if peer:
+                    at = peer[0]
+                    theirs += np.abs(at[0] - box[:2] - by).max() < 1
         share = 100 / (4 * (frames - 1))
         found = {"ESM found (%)": ours, "ESM silent (%)": silent, "ECC found (%)": theirs}
         rows.append({"light": light} | {name: round(share * n, 1) for name, n in found.items()})

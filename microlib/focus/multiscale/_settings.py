@@ -17,8 +17,7 @@ class Settings:
     """
 
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
-    #: flat from 2.8 to 4.5, table "frames averaged into one" of benchmarks/focus_depth.py. With
-    #: infinity no frames are averaged.
+    #: flat from 2.8 to 4.5 with 4 and 20 times the frames. With infinity no frames are averaged.
     width: float = 3.7
     #: Smoothing of the second derivatives at full size and at half, px of each grid, and windows
     #: of the fine measure at half size and at full size, and of the coarse one: the fine scale

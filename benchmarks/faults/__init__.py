@@ -1,1 +1,0 @@
-"""Faults planted on purpose: do the checks of the ledger notice them?"""
