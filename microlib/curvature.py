@@ -149,9 +149,9 @@ def surface_curvature(
         Side of the windows, px, odd, at least 3. Smoothing and differentiation together span 2
         `size` − 1 pixels on a side.
     noise : float, optional
-        Standard deviation of the height errors, µm, independent from pixel to pixel. The standard
-        errors are NaN without it. Where the rounding error of the heights is larger than `noise`,
-        the rounding error is used instead.
+        Standard deviation of the height errors, µm. The errors are assumed to be independent from
+        pixel to pixel. Without `noise` the standard errors are NaN. Where the rounding error of the
+        heights is larger than `noise`, the rounding error is used instead.
 
     Returns
     -------
@@ -170,27 +170,28 @@ def surface_curvature(
     Warns
     -----
     UserWarning
-        If half of the map is steeper than 76°, which suggests that heights and `pixel_size` have
-        different units.
+        If at least half of the map is steeper than 76°, which suggests that heights and
+        `pixel_size` have different units.
 
     Notes
-    ----- The derivatives are the windows (3.15)–(3.19), with the divisor of (3.19) corrected to 42,
-    applied as in (3.20)–(3.21) and divided by the pixel size or its square. H and K follow from
-    (3.22)–(3.23). The thesis omits the pixel size, which determines the units of H and K and of
-    their thresholds.
+    -----
+    The windows (3.15)–(3.19) are applied as in (3.20)–(3.21), with the divisor of (3.19) corrected
+    to 42. The first derivatives are divided by the pixel size and the second derivatives by its
+    square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size, which determines
+    the units of H and K and of their thresholds.
 
-    The standard errors assume independent errors of the heights. The error of a second derivative
-    is `noise` times the root of the sum of the squares of its window. The errors are propagated to
-    H to first order, and to K to first and second order, because K of a plane is a product of
-    errors. Errors of the slopes are neglected: in pixels they are smaller by the ratio of the
-    window to the radius of curvature.
+    The standard errors assume independent errors of the heights. The standard error of a second
+    derivative is `noise` times the root of the sum of the squared window coefficients. The errors
+    are propagated to H to first order, and to K to first and second order, because K of a plane is
+    a product of errors. Errors of the slopes are neglected, because their effect is smaller by the
+    ratio of the window size to the radius of curvature.
 
-    A value depends on the pixels within `size` − 1 pixels alone. Tiles with this overlap, such as
-    those of `dask.array.map_overlap`, have the curvature of the whole map.
+    A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
+    columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same
+    curvature as the whole map.
 
     Examples
-    --------
-    A ball of 100 µm radius seen from above, 1 µm a pixel:
+    -------- A ball with a radius of 100 µm, seen from above, with pixels of 1 µm:
 
     >>> import numpy as np
     >>> from microlib.curvature import surface_curvature

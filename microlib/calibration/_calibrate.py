@@ -44,19 +44,20 @@ def calibrate(
     Parameters
     ----------
     world : Detection or array_like, shape (N, 2), or a list of either
-        Detection of a pattern, which needs `pitch`, or points of the pattern, µm. Several views
-        are a list.
+        Detection of a pattern, or points of the pattern in µm. A detection needs `pitch`. Several
+        views are given as a list.
     image : array_like, shape (N, 2), or a list of them, optional
-        Image points (x, y) of the points in `world`, px. A detection contains them.
+        Image points (x, y) of the points in `world`, px. Not needed for a detection, which contains
+        the image points.
     pixel_size : float or (float, float)
         Pitch of the sensor pixels, µm.
     pitch : float, optional
         Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
-        Focal length f of the objective by its manufacturer, µm. By default f is estimated, which
-        needs a tilted pattern: see Notes.
+        Focal length f of the objective as the manufacturer states it, µm. By default f is
+        estimated, which needs a tilted pattern (see Notes).
     image_size : (int, int), optional
-        Width and height of the image, px. Points need it; a detection contains it.
+        Width and height of the image, px. Required for points; a detection contains the size.
 
     Returns
     -------
@@ -65,30 +66,34 @@ def calibrate(
     Raises
     ------
     ValueError
-        If shapes disagree, there are fewer than 5 points, points lie on one line or outside the
-        image, or no microscope fits them.
+        If shapes disagree, if there are fewer than 5 points, if points lie on one line or outside
+        the image, or if no microscope fits the points.
 
-    Notes ----- *Focal length.* Of the three lengths, the image of a plane determines only T_op + f
-    and f + d. Perspective separates these two sums, and its effect decreases with the tilt. The
-    thesis therefore starts from the f of the manufacturer and computes d = f²/T_op (2.20), because
-    the plane is in focus. This function keeps a given `focal_length` fixed. Without `focal_length`,
-    the same condition leaves f as the one unknown length. If 1/(T_op + f) is less than four
-    standard deviations from zero, `undetermined` names f and the angles of the tilt.
+    Notes
+    -----
+    *Focal length.* The image of a plane determines only two combinations of the three lengths,
+    T_op + f and f + d. Perspective separates the two sums, and the effect of perspective decreases
+    with the tilt. The thesis therefore starts from the f of the manufacturer and computes
+    d = f²/T_op (2.20), because the plane is in focus. This function keeps a given `focal_length`
+    fixed. Without `focal_length`, (2.20) is assumed and f is estimated. If 1/(T_op + f) is less
+    than four standard deviations from zero, `undetermined` names f and the angles of the tilt.
 
     *Uncertainty.* The covariance includes the image noise, the correlation of the points of a mark,
     and errors of the printed pattern that are common to all views. If a lack-of-fit test of the
     residuals has a p-value below 0.1, the covariance also includes the model discrepancy.
 
-    *Several views* share T_op + f and the distortion. Each view has its own magnification and pose,
-    whose names end in the number of the view from the second view on; f is that of the first view.
-    A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴) and the principal point
-    ("principal_x" and "principal_y", px from the middle of the image) are estimated if they lower
-    the Bayesian information criterion. A point that the model with κ alone images at u, in µm from
-    the principal point, is then at u (1 + κ₂ r⁴) with r = ‖u‖. The principal point of a single view
-    is the middle of the image, as in the thesis.
+    *Several views* share T_op + f and the distortion. Each view has its own magnification and pose.
+    From the second view on, the names of these parameters end in the number of the view. The focal
+    length f is that of the first view. A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴)
+    and the principal point ("principal_x" and "principal_y", px from the middle of the image) are
+    estimated if they lower the Bayesian information criterion. Let u be the image point of the
+    model with κ alone, in µm from the principal point. With κ₂ the image point is u (1 + κ₂ r⁴),
+    where r = ‖u‖. The principal point of a single view is the middle of the image, as in the
+    thesis.
 
-    *Sign of the tilt.* Tilts (β, γ) and (−β, −γ) give the same image except for perspective. Both
-    are fitted. If the residuals do not separate them, `undetermined` names "beta" and "gamma".
+    *Sign of the tilt.* The tilts (β, γ) and (−β, −γ) give the same image except for perspective.
+    Both tilts are fitted. If the residuals do not separate the two tilts, `undetermined` names
+    "beta" and "gamma".
 
     Examples
     --------

@@ -45,13 +45,15 @@ class ImageEstimate(Tidy):
     Attributes
     ----------
     force, modulus : float
-        Indentation force F, in µN, and elastic modulus E, in MPa. One is given, the other is found.
+        Indentation force F, in µN, and elastic modulus E, in MPa. One of the two is given, and the
+        other is computed.
     found : {"modulus", "force"}
-        Name of the quantity that was found.
+        Name of the quantity that was computed.
     relative_std : float
-        Standard deviation of the logarithm of the quantity found, from the errors of the outline.
+        Standard deviation of the logarithm of the computed quantity, from the errors of the
+        outline.
     interval : tuple of float
-        95 % interval of the quantity found, from `relative_std`.
+        95 % interval of the computed quantity, from `relative_std`.
     dimple : DimpleFit or CapsuleFit
         Fit of the profile (4.2) with its covariance, or of `microlib.membrane.fit_capsule`.
     boundary : Boundary
@@ -183,10 +185,10 @@ def modulus_from_image(
     method : {"membrane", "capsule"}
         ``"membrane"`` fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus
         by (4.7). ``"capsule"`` fits a closed neo-Hookean capsule, its direction and its radius to
-        the whole outline (`microlib.membrane.fit_capsule`). It takes seconds, and the outline must
-        contain the widest part of the egg.
+        the whole outline (`microlib.membrane.fit_capsule`). The fit of the capsule takes several
+        seconds, and the outline must contain the widest part of the egg.
     direction
-        Edge that the probe comes from, as for `extract_boundary`.
+        Edge of the image through which the probe enters, as for `extract_boundary`.
 
     Returns
     -------
@@ -197,8 +199,7 @@ def modulus_from_image(
     Raises
     ------
     ValueError
-        If an argument is out of range, or the image does not show what `extract_boundary` and
-        `fit_dimple` need.
+        If an argument is out of range, or if `extract_boundary` or `fit_dimple` rejects the image.
 
     Warns
     -----

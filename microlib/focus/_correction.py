@@ -100,30 +100,29 @@ def smooth_depth(depth: ArrayLike, *, jump: float, radius: float = 7.0) -> Array
     depth : array_like, shape (rows, cols)
         Depths, µm; NaN where unknown.
     jump : float
-        Difference in depth from which on a neighbor no longer counts, µm. Noise should be well
-        below it and the steps to be kept above.
+        Difference in depth at and above which a neighbor has no weight, µm. Choose a value well
+        above the noise and below the steps that are to be kept.
     radius : float
-        Standard deviation of the Gaussian that weights neighbors by distance, px. It is cut off
-        at twice that.
+        Standard deviation of the Gaussian that weights neighbors by distance, px. The Gaussian is
+        cut off at two standard deviations.
 
     Returns
     -------
     ndarray of float64, shape (rows, cols)
-        Depths, µm; NaN where they were.
+        Smoothed depths, µm; NaN where `depth` is NaN.
 
     Raises
     ------
     ValueError
-        If the map is not two-dimensional or infinite somewhere, or a length is not positive.
+        If the map is not two-dimensional or contains an infinity, or if a length is not positive.
 
-    Notes
-    -----
-    A plane and not a mean is fitted, so that a slope is not pulled towards its better lit side. A
-    neighbor at difference v counts :math:`(1 - (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a
-    slope the differences themselves narrow the window along the gradient, which limits the bias
-    on steep flanks. What the planes leave over is smoothed in the same way and added (Tukey's
-    twicing): most of what they cut from a curved surface returns. Neighbors are taken some pixels
-    apart, because the errors of a depth from focus are alike from pixel to pixel.
+    Notes ----- A plane is fitted instead of a mean, because a mean is biased on a slope whose
+    neighbors have unequal weights. A neighbor whose depth differs by v has the weight :math:`(1 -
+    (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a slope these weights narrow the window along the
+    gradient, which limits the bias on steep flanks. The residuals of the planes are smoothed in the
+    same way and added (Tukey's twicing), which removes most of the bias on a curved surface. The
+    neighbors are sampled several pixels apart, because the errors of a depth from focus are
+    correlated between adjacent pixels.
 
     Examples
     --------

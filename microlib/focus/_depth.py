@@ -43,61 +43,63 @@ def depth_from_focus(
     Parameters
     ----------
     frames : array_like, path, iterable, or dask or zarr array
-        At least three frames, grey or in color, of 8 or 16 bits or floating point, in whatever
-        `microlib.io.read_frames` reads: an array or what is like one, a multi-page TIFF or
-        OME-TIFF, a folder or pattern of images, a video, or an iterable of images or image files,
-        such as a generator. The depth comes from luminance. All frames are held in memory. A dask
-        or zarr array of shape (n, rows, cols), which may be larger, is worked on block by block.
+        At least three frames, grey or in color, of 8 or 16 bits or floating point, in any form that
+        `microlib.io.read_frames` accepts: an array, a multi-page TIFF or OME-TIFF, a folder or
+        file-name pattern of images, a video, or an iterable of images or image files, such as a
+        generator. Color frames are converted to luminance. All frames are held in memory. A dask or
+        zarr array of shape (n, rows, cols) may be larger than the memory and is processed block by
+        block.
     positions : array_like, shape (n,), optional
-        Position of each frame along the optical axis, µm, rising or falling, not necessarily even.
-        By default from a TIFF's OME or ImageJ metadata or from an xarray.DataArray.
+        Position of each frame along the optical axis, µm. Positions increase or decrease, and their
+        spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata or
+        from an xarray.DataArray.
     spacing : float, optional
-        Distance of the frames instead, µm; the first one is at 0.
+        Distance between adjacent frames, µm, which replaces `positions`. The first frame is at 0.
     measure : {MEASURES} or callable
         Focus measure. The default "multiscale" is the most accurate; "sml" is the thesis'
-        sum-modified-Laplacian. A callable takes a frame and returns its measure, zero or positive
-        and of the same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
+        sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
+        same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
     window : int, optional
-        Side of the square over which the measure is summed, px, odd; by default 5. Not for
-        "multiscale", which has windows of its own, and not for a callable.
+        Side of the square over which the measure is summed, px, odd; by default 5. Not accepted
+        with "multiscale", whose windows are fixed, and not with a callable.
     workers : int
-        Number of threads. The result is the same for any number. Blocks of a dask or zarr array are
-        shared out by dask instead.
+        Number of threads. The result does not depend on it. For a dask or zarr array, dask
+        distributes the blocks instead.
     register : bool
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
-        The result is aligned with the middle frame; a pixel has no depth if it lies outside of a
-        frame close to its depth.
+        The result is aligned with the middle frame. A pixel has no depth if a frame near its focus
+        does not show the pixel.
     region : tuple of four ints, optional
-        Part of the frames that is used, (x, y, width, height) in px.
+        Part of the frames that is used: (x, y, width, height) in px.
     reduce : int
-        Side of the square blocks of pixels that become one, for a quick preview.
+        Side of the square blocks of pixels that are averaged to one pixel, for a quick preview.
     progress : callable, optional
-        Called with the number of parts of the work that are done, and of all: one for each frame
-        that is read, and as many again for the depth. An exception from it ends the work. The
-        options `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask
-        and zarr arrays.
+        Function that is called with the number of finished parts of the work and the number of all
+        parts. Each frame that is read is one part, and the depth has as many parts again. An
+        exception from the function ends the work. The options `progress`, `measure`, `register`,
+        `reduce` and `workers` cannot be used with dask and zarr arrays.
 
     Returns
     -------
     FocusResult
-        Depth in µm with its uncertainty, and the all-in-focus image. For a dask or zarr array they
-        are dask arrays, which are computed by dask's scheduler when they are needed, and which
-        ``to_zarr`` writes.
+        Depth in µm with its uncertainty, and the all-in-focus image. For a dask or zarr array the
+        results are dask arrays. Dask computes them when they are needed, and ``to_zarr`` writes
+        them.
 
     Raises
     ------
     ValueError
-        If there are fewer than three frames or not as many as positions; frames differ in size or
-        type, are no images, not finite or beyond ±10¹⁰, or differ in time or channel instead of
-        focus; positions are not finite, not strictly monotonic, or not known; a file cannot be
-        read; or an option is out of range or does not apply to this measure or array. With
-        `register`, if less than half of the frames show one scene.
+        If there are fewer than three frames, or the number of positions differs; if frames differ
+        in size or type, are not images, are not finite, exceed ±10¹⁰, or differ in time or channel
+        instead of focus; if positions are not finite, not strictly monotonic, or not known; if a
+        file cannot be read; if an option is out of range or does not apply to this measure or
+        array; with `register`, if fewer than half of the frames show the same scene.
 
     Warns
     -----
     UserWarning
-        If frames that show something else are left out by `register`; if light or position change
-        from frame to frame and `register` is not given; if frames have black margins.
+        If `register` leaves out frames that show another scene; if brightness or position changes
+        from frame to frame and `register` is not set; if frames have black margins.
 
     Notes
     -----
@@ -109,43 +111,47 @@ def depth_from_focus(
        the frame smoothed with σ = 0.8 px, and of the frame at half its size with σ = 1 px.
     3. *Fit.* A parabola is fitted to the logarithm of the measure in seven frames, because Gaussian
        blur makes the measure nearly a Gaussian of the distance from focus, (3.9).
-    4. *Reject noise.* A depth is NaN where a block of 8 px and its neighbors have no common peak
-       that is twice as high as the differences between these blocks, and where the peak is also
-       less than 2.5 times the mean of the profile.
-    5. *Choose.* A step is a difference of 1.5 averaged frames or more. There a pixel gets the depth
-       of its own side. Where the usual windows contain defocused light only, a window of 52 px
-       gives the depth.
+    4. *Reject noise.* A depth is NaN if two conditions hold: a block of 8 px and its neighbors have
+       no common peak that is twice as high as the differences between these blocks, and the peak of
+       the pixel is less than 2.5 times the mean of its profile.
+    5. *Choose.* At a step, which is a difference of 1.5 averaged frames or more, a pixel gets the
+       depth of its own side. Where the usual windows contain defocused light only, the depth comes
+       from a window of 52 px.
     6. *Reject.* A depth is NaN in four cases: two measures disagree by 0.3 averaged frames and no
        wide window confirms the depth; the pixel lies in the halo of a strong edge, so that its peak
        is five times lower than the peaks around it and two frames away from them; the connected
        region has at most about 48 pixels; half of the neighborhood is unknown.
     7. *Smooth.* Planes are fitted as by `smooth_depth`, with a radius of 7 px.
-    8. *Restore relief.* Depths from second derivatives along rows and down columns have nearly
-       independent errors. Their covariance is therefore that of the object. It restores fine relief
-       where it exceeds the covariance of noise by 2.5 standard deviations. The difference of the
-       two depths gives the uncertainty.
-    9. *Correct biases.* If a lens moves, blur grows with the difference of 1/a and 1/b, and peaks
-       are asymmetric. All fits are then in a coordinate in which the peaks are symmetric, which is
-       found from the middles of the peaks at two heights. The bias towards the frame positions
-       (peak locking) is subtracted. The uncertainty contains the differences between the fit, these
-       middles and a narrower fit.
+    8. *Restore relief.* One depth is computed from second derivatives along rows and one from
+       second derivatives along columns. The errors of these two depths are nearly independent, so
+       their covariance is that of the relief of the object. Fine relief is restored where the
+       covariance exceeds the covariance of noise by 2.5 standard deviations. The difference between
+       the two depths gives the uncertainty.
+    9. *Correct biases.* If the lens moves, the blur of a point is proportional to the difference of
+       the reciprocal distances of the point and of the focal plane, and the peaks are asymmetric. A
+       coordinate in which the peaks are symmetric is found from the midpoints of the peaks at two
+       heights, and all fits use this coordinate. The bias towards the frame positions (peak
+       locking) is subtracted. The uncertainty contains the differences between the fit, these
+       midpoints and a narrower fit.
     10. *Fit at full size* where the depth is steep or has a step.
 
-    With any other measure, three frames give the peak, (3.13), step 4 applies, and nothing is
-    corrected. The uncertainty contains the difference from the middles of the peaks. The functions
-    `correct_spikes` and `smooth_depth` may follow.
+    With any other measure, the peak follows from three frames by (3.13). Of the ten steps above,
+    only step 4 is applied. The uncertainty contains the difference between this peak and the
+    midpoints of the profile. The functions `correct_spikes` and `smooth_depth` can be applied to
+    the result.
 
     Where a peak may be noise, the stated uncertainty is that of a uniform distribution over the
-    scan. Ground without texture in JPEG, smoothed or quantized frames keeps a depth that is stated
-    as certain in at most 2 % of its pixels on average, up to 14 % in resized JPEG frames. Bars of 4
-    px have a wrong depth with a small uncertainty in 20 to 26 % of their pixels, bars of 8 px in up
-    to 4 %. A pixel whose best frame is the first or the last is flagged in `at_end`. It gets the
-    position of that frame and the uncertainty of a random depth, unless the fit of seven frames
-    finds a peak inside the scan. Of equal maxima, the first frame is taken.
+    scan. On ground without texture in JPEG, smoothed or quantized frames, on average at most 2 % of
+    the pixels keep a depth with a small stated uncertainty. In resized JPEG frames the share is up
+    to 14 %. On bars of 4 px, 20 to 26 % of the pixels have a wrong depth with a small stated
+    uncertainty. On bars of 8 px the share is up to 4 %. A pixel whose best frame is the first or
+    the last is flagged in `at_end`. Such a pixel gets the position of that frame and the
+    uncertainty of a random depth, unless the fit of seven frames finds a peak inside the scan. If
+    several frames have the same maximum, the first of them is used.
 
     The blocks of a dask array are its chunks if their sides are multiples of 64 px, and chunks of
-    1024 px otherwise. Each block is computed with an overlap of 128 px. They agree with the whole
-    image to 0.004 of the frames' spacing.
+    1024 px otherwise. Each block is computed with an overlap of 128 px. The RMS difference between
+    the depths of the blocks and of the whole image is at most 0.004 frame spacings.
 
     References
     ----------

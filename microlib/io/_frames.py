@@ -25,15 +25,16 @@ def read_frames(
     time: int | None = None,
     series: int | None = None,
 ) -> FrameReader:
-    """Return a reader of the frames of a stack, which checks each and holds one at a time.
+    """Return a reader of the frames of a stack, which checks each frame and holds one frame at a
+    time.
 
     Parameters
     ----------
     frames : array_like, path, or iterable
         One of these:
 
-        - an array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or an object with such
-          a `shape` that loads frames when it is indexed, such as a zarr array;
+        - an array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or an object of such a
+          `shape` that loads a frame when it is indexed, for example a zarr array;
         - an xarray.DataArray, whose dimensions may be in any order if two are named x and y, and
           whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
           (coordinates 0, 1, 2, … without a unit are numbers of pixels);
@@ -45,14 +46,15 @@ def read_frames(
 
         ``~`` is the home folder.
     color : bool
-        Whether to keep colors. If not, they become luminance, 0.299 R + 0.587 G + 0.114 B.
+        Whether to keep colors. Otherwise colors are converted to luminance, 0.299 R + 0.587 G +
+        0.114 B.
     region : tuple of four ints, optional
         Part of the frames, (x, y, width, height) in px.
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
-        Index, from zero, of the channel, the time or the series to read. They are needed for a
-        TIFF, an OME-Zarr or an xarray.DataArray with more than one axis besides rows and columns.
+        Index, from zero, of the channel, the time or the series to read. Needed for a TIFF, an
+        OME-Zarr or an xarray.DataArray that has more than one axis besides rows and columns.
 
     Returns
     -------
@@ -61,9 +63,9 @@ def read_frames(
         and blue, of 8 or 16 bits or float32; other number types become float32. Frames of an array
         are views of it. Values are as stored: a TIFF in which zero is white is not inverted. The
         attributes `count`, `shape`, `dtype`, `color`, `axis`, `pixel_size` (µm/px), `positions`
-        (µm) and `files` are known before the frames are read; the first frame is decoded for them.
-        The frames can be read again, except those of an iterator. If `frames` is a reader, the
-        options act on the frames of that reader.
+        (µm) and `files` are known before the frames are read, because the first frame is decoded at
+        once. The frames can be read again, except those of an iterator. If `frames` is a reader,
+        the options act on the frames of that reader.
 
     Raises
     ------

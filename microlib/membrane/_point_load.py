@@ -95,11 +95,10 @@ def elastic_modulus(
     indentation_force : The inverse, equation (4.7).
 
     Notes
-    -----
-    The modulus is the stress (4.3) times 1 − ν over the strain (4.5), as linear elasticity (4.6)
-    has it. Solved for the force, the same relation is (4.7). The model assumes a uniform stress and
-    small slopes. Table 5.6 of the thesis prints c/a = 44.78, which no probe can have. The printed
-    modulus follows from c = 25 µm, for which c/a = 0.1012.
+    ----- By linear elasticity (4.6), the modulus is the stress (4.3) times 1 − ν, divided by the
+    strain (4.5). Equation (4.7) is the same relation, solved for the force. The model assumes a
+    uniform stress and small slopes. Table 5.6 of the thesis prints c/a = 44.78, which no probe can
+    have. The printed modulus follows from c = 25 µm, for which c/a = 0.1012.
 
     References
     ----------

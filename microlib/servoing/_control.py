@@ -291,28 +291,30 @@ class OptimalController:
 
 
 class PredictiveController(OptimalController):
-    """A controller that predicts over the delay of the loop.
+    """Controller that compensates the delay of the loop by a prediction.
 
     The controller is a Smith predictor with an observer. It predicts the feature from frame to
-    frame with its own commands and corrects the prediction by a share of the innovation. Then it
-    applies (2.28) to the predicted feature and to the reference at the time when the command takes
-    effect. With an exact Jacobian the delay does not reduce the stability. Noise is averaged, and a
-    lost frame is bridged by the prediction.
+    frame with its own commands and corrects the prediction by a share of the innovation. The
+    controller then applies (2.28) to the predicted feature and to the reference at the time when
+    the command takes effect. With an exact Jacobian the delay does not affect the stability. The
+    observer averages the noise. If the feature is lost in a frame, the prediction replaces the
+    measurement.
 
     Parameters
     ----------
     jacobian, interval, feature_weight, control_weight
         As in `OptimalController`.
     delay : float
-        From an exposure until its command takes effect, s.
+        Time from an exposure until the command that follows from it takes effect, s.
     saturation : float
-        Largest speed of the stage, µm/s: the estimate follows the velocity that was executed.
+        Maximum speed of the stage, µm/s. Commands are limited to this speed before they enter the
+        prediction.
     innovation_gain : float, optional
         Share of the innovation, the difference between measured and expected feature, that corrects
-        the estimate, 0 to 1; 1 takes every measurement as it is. A small share averages the noise.
-        A large share corrects the errors of a wrong Jacobian sooner. With a jitter of 0.15 px and a
-        Jacobian known to 1 % and 1°, the mean error on a path is within 20 % of the smallest one
-        for values from 0.2 to 0.6 (servoing benchmark, "Innovation gain").
+        the estimate, from 0 to 1. With 1 the estimate equals the measurement. A small share
+        averages the noise. A large share corrects the errors of a wrong Jacobian sooner. With a
+        jitter of 0.15 px and a Jacobian known to 1 % and 1°, the mean error on a path is within 20
+        % of the smallest one for values from 0.2 to 0.6 (servoing benchmark, "Innovation gain").
 
     Raises
     ------
@@ -321,8 +323,8 @@ class PredictiveController(OptimalController):
         innovation gain is not in [0, 1].
 
     Examples
-    --------
-    One sample late, it waits for the command on its way instead of giving it twice.
+    -------- With a delay of one sample, the controller does not repeat a command that has not taken
+    effect yet:
 
     >>> import numpy as np
     >>> from microlib.servoing import PredictiveController

@@ -26,25 +26,25 @@ class ESMTracker:
     Each frame goes through a list of attempts, from the fastest to the most thorough, until one is
     accepted:
 
-    1. Align from the expected pose by ESM with one gain and bias, smoothed in the template's
-       coordinates and then at half pixels, which removes most of the error of bilinear
-       interpolation. The result is accepted if the blocks of the template agree to within the noise
-       of the first frame and the standard deviation of the corners is small. Otherwise the
-       alignment is continued with a photometric model: light that varies smoothly, blur, a tone
-       curve, and Tukey's weights [3]_.
+    1. ign from the expected pose by ESM with one gain and one bias. The images are smoothed in the
+       coordinates of the template and then sampled at half pixels, which removes most of the error
+       of bilinear interpolation. The result is accepted if the blocks of the template agree to
+       within the noise of the first frame and the standard deviation of the corners is small.
+       Otherwise the alignment is continued with a photometric model: light that varies smoothly,
+       blur, a tone curve, and Tukey's weights [3]_.
     2. Repeat step 1 from the pose that the optical flow of the template's points predicts.
     3. Rank these poses by the agreement of their blocks, and fit the best ones with the photometric
-       model. A logistic regression gives the probability that the best fit is right. It depends on
-       the score of the fit and of the second-best pose, on the inlier ratio, on the distance from
-       the expected pose and on the uncertainty. A template that was lost is searched in the whole
-       frame, or near the prediction of the Kalman filter.
+       model. A logistic regression gives the probability that the best fit is right. The
+       probability depends on the score of the fit and of the second-best pose, on the inlier ratio,
+       on the distance from the expected pose and on the uncertainty. A template that was lost is
+       searched in the whole frame, or near the prediction of the Kalman filter.
     4. If the template was found in the previous frame, repeat step 3 from distorted poses and from
        the peaks of the normalized cross-correlation.
 
-    Otherwise the template is lost. A lookalike in the last frame lowers the probability, so the
-    template may count as lost. A periodic texture that moves by nearly a whole period cannot be
-    distinguished from one at rest. For templates above 64 px, the steps 3 and 4 use frames of half
-    the size. The method is ESM [1]_, [2]_.
+    If no attempt is accepted, the template is lost. A similar object in the previous frame lowers
+    the probability, so the template may be reported as lost. The motion of a periodic texture by
+    nearly a whole period cannot be distinguished from rest. For templates larger than 64 px, steps
+    3 and 4 use frames of half the size. ESM is described in [1]_ and [2]_.
 
     Parameters
     ----------
@@ -56,15 +56,15 @@ class ESMTracker:
     motion : {"homography", "affine", "translation"}
         Group of warps.
     kalman : KalmanFilter, optional
-        Predicts where each frame's search starts, and limits where a lost template is searched. By
-        default a search starts where the last one ended.
+        Filter that predicts where the search in each frame starts, and limits the region in which a
+        lost template is searched. By default a search starts where the previous search ended.
 
     Raises
     ------
     ValueError
-        If the box leaves the image or is smaller than 6 px, or the template is flat, has a gradient
-        along one direction only, so that it cannot be located, or is so fine that the smoothing
-        leaves nothing of it.
+        If the box extends beyond the image or is smaller than 6 px; if the template is flat; if its
+        gradient has one direction only, so that it cannot be located; or if its texture is so fine
+        that the smoothing removes it.
 
     References
     ----------
@@ -134,13 +134,15 @@ class ESMTracker:
         Returns
         -------
         Track
-            ``lost`` says if the template was not found, and ``reason`` why; the next search then
-            starts from the last good pose, moved on by the Kalman filter if there is one.
+            ``lost`` is true if the template was not found, and ``reason`` states why. The next
+            search then starts from the last accepted pose, or from the prediction of the Kalman
+            filter.
 
         Raises
         ------
         ValueError
-            If the frame is no image of that size, or not finite where the template is sought.
+            If the frame is not an image of the size of the first frame, or is not finite where the
+            template is searched.
         """
         frame = luminance("frame", frame)
         if frame.shape != self._shape:

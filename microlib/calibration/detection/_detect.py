@@ -132,8 +132,8 @@ def detect_squares(
         Grey levels of any range, or red, green and blue, which are converted to luminance. The
         squares are darker than their background or, if no such grid is found, brighter.
     pattern : {"squares", "chessboard"}
-        Squares with gaps between them, or the fields of a chessboard. The result then has the inner
-        corners of the chessboard, and the pitch is the side of a field.
+        Squares with gaps between them, or the fields of a chessboard. For a chessboard the result
+        contains the inner corners, and the pitch is the side of a field.
 
     Returns
     -------
@@ -145,8 +145,8 @@ def detect_squares(
     Raises
     ------
     ValueError
-        If `image` is no image or shows no grid of at least four complete squares, or if the marks
-        are rectangles or deviate from every smooth image of a grid.
+        If `image` is not an image or shows no grid of at least four complete squares, if the marks
+        are rectangles, or if their positions deviate from every smooth image of a grid.
 
     Notes
     -----
@@ -155,12 +155,12 @@ def detect_squares(
     is a product of four blurred half-planes, which is exact for a right angle under a Gaussian
     point-spread function.
 
-    An image with only the grid is thresholded. In other images, squares are searched among the
-    closed contours of many grey levels, dark and bright. The corners of a chessboard are saddle
-    points of the smoothed image. Dark and bright are exchanged from each corner to the next along
-    an edge; a lattice is grown by this rule. Corners around which the image does not correlate with
-    a drawn board are left out, and two crossing edges are fitted to the grey levels around each of
-    the others.
+    An image that shows only the grid is thresholded. In other images, dark or bright squares are
+    searched among the closed contours of many grey levels. The corners of a chessboard are saddle
+    points of the smoothed image. From each corner to the next corner along an edge, the dark and
+    the bright sides are exchanged. The lattice of corners is grown by this rule. Corners around
+    which the image does not correlate with a drawn board are left out, and two crossing edges are
+    fitted to the grey levels around each of the others.
 
     Examples
     --------
