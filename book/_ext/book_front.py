@@ -103,7 +103,7 @@ def band_of(model: str, radius: float, depth: float) -> dict[str, object] | None
     if thin is None or wide is None:
         return None
     left, right = on_axis(wide[0]), on_axis(thin[0])
-    text = f"specified probe width: {wide[0]:.2f} to {thin[0]:.2f} MPa"
+    text = f"probe 42.5–57.5 µm: {wide[0]:.2f} to {thin[0]:.2f} MPa"
     return {"x": left, "width": round(right - left, 1), "text": text}
 
 
@@ -155,7 +155,7 @@ def draw(state: dict) -> str:
     return f"""<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-labelledby="front-title">
 <title id="front-title">The printed outline of the dimple, its two rims, the probe and the profile
 of a model. Below, the modulus on a logarithmic axis, the printed number, and the range of the
-modulus over the specified width of the probe.</title>
+modulus for widths of the probe from 42.5 to 57.5 µm.</title>
 <rect class="probe" data-part="probe" x="{state["x"]}" y="8" width="{state["width"]}"
  height="{BOTTOM[1] - 8}"/><path class="outline" d="{path(*outline())}"/>
 <path class="model" data-part="model" d="{state["path"]}"/>{rims}

@@ -193,7 +193,7 @@ class VerdictMap(SphinxDirective):
             f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
             for verdict in ORDER
         )
-        key += f'<span class="starred">{ledger.STAR} depends on a value not in the thesis</span>'
+        key += f'<span class="starred">{ledger.STAR} depends on something not in the thesis</span>'
         html = f'<p class="verdict-key">{key}</p><dl>{"".join(rows)}</dl>'
         return [raw_html(f'<div class="verdict-map">{html}</div>')]
 

@@ -40,7 +40,7 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
     assert low < modulus(states["left small 27.5"]["text"])
     assert modulus(states["left small 22.5"]["text"]) < high
     assert high < modulus(states["left small 20"]["text"])
-    drawn = re.search(r"specified probe width: ([\d.]+) to\s+([\d.]+) MPa", text)
+    drawn = re.search(r"probe 42.5–57.5 µm: ([\d.]+) to\s+([\d.]+) MPa", text)
     assert drawn
     assert drawn.groups() == (f"{low:.2f}", f"{high:.2f}")
     # The range belongs to the rim and the model: it is another one for another choice.
