@@ -39,12 +39,14 @@ def test_exact_moves_give_the_exact_map(angle, mirrored):
 
 
 def test_stage_intervals_cover():
-    matrix, inside, scores = turned(1.6, 0.4), [], []
+    matrix, inside, scores = turned(1.6, 0.4) @ [[1, 0], [0.9, 0.5]], [], []
+    moves = MOVES * [1, 0.2]  # the two axes are determined with different uncertainty
+    size = 1 / np.sqrt(np.linalg.det(matrix))
     for seed in range(400):
-        seen = MOVES @ matrix.T + np.random.default_rng(seed).normal(0, 0.3, MOVES.shape)
-        found = stage_affine(MOVES, seen)
+        seen = moves @ matrix.T + np.random.default_rng(seed).normal(0, 0.3, moves.shape)
+        found = stage_affine(moves, seen)
         _, low, high = found.um_per_pixel
-        inside.append(low <= 1 / 1.6 <= high)
+        inside.append(low <= size <= high)
         error = (found.matrix - np.column_stack([matrix, [0, 0]])).ravel()
         scores.append(error @ np.linalg.solve(found.covariance, error) / 6)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.033)  # three standard errors

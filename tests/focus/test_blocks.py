@@ -67,8 +67,9 @@ def test_chunks_of_any_shape_and_a_region(stack, whole):
     part = depth_from_focus(frames, spacing=1.0, region=(40, 8, 160, 128))
     with dask.config.set(scheduler="synchronous"):
         found = part.depth.compute()
-    same = depth_from_focus(stack, POSITIONS, region=(40, 8, 160, 128)).depth
-    np.testing.assert_allclose(found, same, atol=0.02)
+    same = depth_from_focus(stack, POSITIONS, region=(40, 8, 160, 128))
+    np.testing.assert_allclose(found, same.depth, atol=0.02)
+    assert part.corner == same.corner == (40, 8)
 
 
 def test_blocks_are_read_from_and_written_to_zarr(stack, tmp_path):

@@ -174,7 +174,7 @@ def test_registration_recovers_offsets() -> None:
     frames, _ = scene("dome", 1)
     gain = 1.5 ** (np.arange(COUNT) / (COUNT - 1))
     stack = disturbed(frames, 1).astype(np.float32) * gain[:, None, None]
-    true = np.random.default_rng(0).uniform(-8, 8, COUNT) + 30 * gain**2
+    true = np.random.default_rng(0).uniform(-8, 8, COUNT) + 30 * gain**4
     result = depth_from_focus(stack + true[:, None, None], POSITIONS, register=True)
     assert result.offset is not None
     near = slice(MIDDLE - 4, MIDDLE + 5)
@@ -182,6 +182,12 @@ def test_registration_recovers_offsets() -> None:
     # Gain and offset of a link share one error: 0.5 % of 118 grey levels.
     expected = true - ratio * true[MIDDLE]
     np.testing.assert_allclose(result.offset[near], expected[near], atol=1.5 * gain.max())
+    # The image is made of frames in the light of the middle frame, whatever their own gain is.
+    at_rest = depth_from_focus(disturbed(frames, 1), POSITIONS).all_in_focus
+    same_light = at_rest * gain[MIDDLE] + true[MIDDLE]
+    change = result.all_in_focus - same_light
+    light = [np.median(change[result.index == k]) for k in range(MIDDLE, MIDDLE + 5)]
+    np.testing.assert_allclose(light, 0, atol=0.7)
 
 
 def test_depth_is_nan_where_a_frame_shows_nothing() -> None:
