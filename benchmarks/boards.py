@@ -325,11 +325,26 @@ def main() -> tuple[Tables, Limits]:
     sides = photographs["photograph"].str.startswith("side")
     limits: Limits = [
         ("wrong points, all photographs", photographs["wrong points"].sum(), "≤", 0),
-        ("error over σ, most but glare", photographs["error over σ"][plain].max(), "≤", 1.3),
-        ("error over σ, glare", photographs["error over σ"][~plain].max(), "≤", 1.6),
-        ("error of any side, px", photographs["error px"][sides].max(), "≤", 0.015),
+        (
+            "RMS error over stated σ, largest without glare",
+            photographs["error over σ"][plain].max(),
+            "≤",
+            1.3,
+        ),
+        (
+            "RMS error over stated σ, largest with glare",
+            photographs["error over σ"][~plain].max(),
+            "≤",
+            1.6,
+        ),
+        ("error of any side of the board, px", photographs["error px"][sides].max(), "≤", 0.015),
         ("images without a pattern accepted", refused["accepted"].sum(), "≤", 0),
-        ("neither holds nor says so, most faults, %", fits["neither %"].max(), "≤", 10),
+        (
+            "interval of f wrong and fit reported adequate, worst fault, %",
+            fits["neither %"].max(),
+            "≤",
+            10,
+        ),
         ("wrong lattices of chessboards", grids["wrong lattices"][0], "≤", 0),
         ("chessboards rejected, %", 100 * grids["rejected"][0] / grids["boards"][0], "≤", 2),
     ]

@@ -242,8 +242,8 @@ def limits(tables: Tables) -> Limits:
     for ours, peer in PEERS.items():
         more = (detection[f"{ours}: complete"] - detection[f"{peer}: complete"]).min()
         worst = (detection[ours] / detection[peer]).max()
-        lines.append((f"{ours}: complete views less {peer}'s, least", more, "≥", 0))
-        lines.append((f"{ours}: error over {peer}'s, greatest", worst, "≤", 1))
+        lines.append((f"{ours}: complete views minus those of {peer}, smallest", more, "≥", 0))
+        lines.append((f"{ours}: error over the error of {peer}, largest", worst, "≤", 1))
     tilts = tables["Uncertainty over tilt"]
     tilted = tilts[tilts["tilt °"] > 0]
     ratio = tilted["f: our σ %, median"] / tilted["f: bound %"]
@@ -253,9 +253,19 @@ def limits(tables: Tables) -> Limits:
         *lines,
         ("σ of f over the Cramér–Rao bound, least", ratio.min(), "≥", 0.75),
         ("σ of f over the Cramér–Rao bound, greatest", ratio.max(), "≤", 1.25),
-        ("no tilt: f named undetermined, %", hidden, "≥", 100),
-        ("95 % intervals that hold, f given, least of the tilts, %", held.min(), "≥", 93),
-        ("95 % intervals that hold, f given, most of the tilts, %", held.max(), "≤", 97),
+        ("no tilt: views with f reported as undetermined, %", hidden, "≥", 100),
+        (
+            "f given: 95 % intervals with the true value, smallest of the tilts, %",
+            held.min(),
+            "≥",
+            93,
+        ),
+        (
+            "f given: 95 % intervals with the true value, largest of the tilts, %",
+            held.max(),
+            "≤",
+            97,
+        ),
     ]
 
 

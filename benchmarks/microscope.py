@@ -63,6 +63,6 @@ def main() -> tuple[Tables, Limits]:
     return {"Targets": reached, "Faults": ended}, [
         ("worst error (px)", reached["worst error (px)"].max(), "≤", 0.12),
         ("mean error (px)", reached["mean error (px)"].max(), "≤", 0.05),
-        ("faults that did not end with a reason and the stage still", bad, "≤", 0),
-        ("farthest from the start, of the travel", farthest, "≤", 1),
+        ("faults after which no reason was reported or the stage moved", bad, "≤", 0),
+        ("largest distance from the start, share of the travel", farthest, "≤", 1),
     ]

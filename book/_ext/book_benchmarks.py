@@ -245,7 +245,8 @@ def changes_since(name: str, commit: str) -> str:
     count = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     if count == "0":
         return "The measured code has not changed since."
-    known = f"has changed in {count} commits since" if count else "may have changed since"
+    times = "1 commit" if count == "1" else f"{count} commits"
+    known = f"has changed in {times} since" if count else "may have changed since"
     return f"The measured code {known}, so a new run may give different numbers."
 
 
