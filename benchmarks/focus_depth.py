@@ -26,13 +26,11 @@ from microlib.focus._measures import MEASURES
 #: used while constants were chosen.
 SIDE, BORDER, COUNT, SEEDS = 192, 12, 21, (100, 101)
 
-SCALE_TABLE = (
-    "One scene and travel, more frames at equal noise (3) a frame: RMS error, first spacing"
-)
+SCALE_TABLE = "Same scene and travel, more frames of noise 3: RMS error in spacings of the 1× stack"
 RELIEF_TABLE = "Relief A·sin·sin, noise 2: RMS error in steps, mean of the seeds"
-STATED_TABLE = "RMS error over stated uncertainty, by decile of what is stated, worst of the seeds"
+STATED_TABLE = "RMS error over stated uncertainty, by decile of the stated uncertainty, worst seed"
 STEEP_TABLE = "Steep roofs, noise 2: RMS error in steps"
-OTHER_TABLE = "What other cameras and lenses do, beside SML: depths in steps"
+OTHER_TABLE = "Bars, bare ground and moving lenses, compared with SML: depths in steps"
 
 
 @dataclass(frozen=True)
