@@ -116,13 +116,15 @@ def smooth_depth(depth: ArrayLike, *, jump: float, radius: float = 7.0) -> Array
     ValueError
         If the map is not two-dimensional or contains an infinity, or if a length is not positive.
 
-    Notes ----- A plane is fitted instead of a mean, because a mean is biased on a slope whose
-    neighbors have unequal weights. A neighbor whose depth differs by v has the weight :math:`(1 -
-    (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a slope these weights narrow the window along the
-    gradient, which limits the bias on steep flanks. The residuals of the planes are smoothed in the
-    same way and added (Tukey's twicing), which removes most of the bias on a curved surface. The
-    neighbors are sampled several pixels apart, because the errors of a depth from focus are
-    correlated between adjacent pixels.
+    Notes
+    -----
+    A plane is fitted instead of a mean, because a mean is biased on a slope whose neighbors have
+    unequal weights. A neighbor whose depth differs by v has the weight
+    :math:`(1 - (v/\\mathrm{jump})^2)^2`, Tukey's biweight. On a slope
+    these weights narrow the window along the gradient, which limits the bias on steep flanks. The
+    residuals of the planes are smoothed in the same way and added (Tukey's twicing), which removes
+    most of the bias on a curved surface. The neighbors are sampled several pixels apart, because
+    the errors of a depth from focus are correlated between adjacent pixels.
 
     Examples
     --------
