@@ -686,6 +686,9 @@ def test_output_never_replaces_an_input(tmp_path, capsys):
     ):
         assert status(line, out, "--overwrite") == 2
         assert f"{folder / name} is an input: give another --out" in capsys.readouterr().err
+        # A folder that is missing hides the others from a search for them.
+        assert status(line, folder / "missing" / ".." / out.relative_to(folder), "--overwrite") == 2
+        assert f"{folder / name} is an input" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 

@@ -45,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     a.out = home_path(a.out)
+    if ".." in a.out.parts:  # before a folder that is missing, files are not found
+        a.out = a.out.resolve()
     notes: dict[str, None] = {}  # each once, in their order
     a.note = lambda text: notes.setdefault(f"note: {text}")
     a.say = (lambda *_: None) if a.quiet else print

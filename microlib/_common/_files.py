@@ -33,7 +33,7 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
     Raises
     ------
     ValueError
-        If the folder does not exist.
+        If the folder does not exist, or the path is one.
     OSError
         If the file cannot be written, for example on a full disk; an existing file stays.
 
@@ -50,6 +50,8 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
     target = Path(path)
     if not target.parent.is_dir():
         raise ValueError(f"path must lie in an existing folder, got {target.parent}")
+    if target.is_dir():
+        raise ValueError(f"path must name a file, got the folder {target}")
     if old := target.is_file():
         target = target.resolve()  # the file that a link names
     # Hidden, so that the file of a killed process is not mistaken for a result.

@@ -37,7 +37,8 @@ def path(table: pd.DataFrame, image: NDArray, ax: Any = None) -> Any:
         np.minimum(points.max(axis=0) + near, ends),
     )
     ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
-    ax.set_title(f"path, lost in {table['lost'].mean():.0%} of the frames")
+    share = table["lost"].mean()
+    ax.set_title(f"path{f', lost in {100 * share:.3g} % of the frames' if share else ''}")
     return ax.figure
 
 

@@ -18,7 +18,7 @@ from microlib.io._sources import open_source
 def read_frames(
     frames: Frames,
     *,
-    color: bool = False,
+    color: bool | None = None,
     region: Region | None = None,
     reduce: int = 1,
     channel: int | None = None,
@@ -39,15 +39,16 @@ def read_frames(
           whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
           (coordinates 0, 1, 2, … without a unit are numbers of pixels);
         - a folder or a pattern (``"scan/*.jpg"``) of images, in the order of the numbers in their
-          names; EXIF orientation is applied unless it changes within the stack;
+          names; EXIF orientation is applied unless it changes within the stack; a folder with one
+          file is that file;
         - a multi-page TIFF or OME-TIFF, OME-Zarr 0.4 or 0.5, a NumPy file, a GIF or a video;
         - an iterable, such as a list or a generator, of images or of paths to image files;
         - a reader that this function returned.
 
         ``~`` is the home folder.
-    color : bool
+    color : bool, optional
         Whether to keep colors. Otherwise colors are converted to luminance, 0.299 R + 0.587 G +
-        0.114 B.
+        0.114 B. By default they are kept if `frames` is a reader that keeps them.
     region : tuple of four ints, optional
         Part of the frames, (x, y, width, height) in px.
     reduce : int
@@ -71,19 +72,20 @@ def read_frames(
     ------
     ValueError
         At once, if the frames are none of these, if a file is missing or is no image, if the order
-        of files is ambiguous or one frame has two files, or if a TIFF has axes to choose from, or
-        more or fewer pages than its metadata describe. While the frames are read, if one is damaged
-        or cut off, neither grey nor color, not finite, or of another size or type than the first,
-        or if a film ends before the number of frames in its header. The message names the frame,
-        and the page or axes of a TIFF. Frames that were read before the error are valid.
+        of files is ambiguous, their names differ in more than numbers or one frame has two files,
+        or if a TIFF has axes to choose from, or more or fewer pages than its metadata describe.
+        While the frames are read, if one is damaged or cut off, neither grey nor color, not finite,
+        or of another size or type than the first, or if a film ends before the number of frames in
+        its header. The message names the frame, and the page or axes of a TIFF. Frames that were
+        read before the error are valid.
 
     Warns
     -----
     UserWarning
         If a video has another number of frames than its header says; if numbers are missing in the
-        names of files; if pixels are not square, or positions and spacing in the metadata disagree;
-        if photographs have several orientations; if results of this library in a folder are left
-        out.
+        names of files, or these have no numbers; if pixels are not square, or positions and spacing
+        in the metadata disagree; if photographs have several orientations; if results of this
+        library in a folder are left out.
 
     Examples
     --------
@@ -101,7 +103,8 @@ def read_frames(
     if choice:  # which the source has not applied
         name, number = choice.popitem()
         raise ArgumentError(name, f"must be left out for frames without that axis, got {number}")
-    return FrameReader(source, color, part, by)
+    keep = isinstance(source, FrameReader) and source.keep_color if color is None else color
+    return FrameReader(source, keep, part, by)
 
 
 class FrameReader(Iterable[NDArray]):
@@ -117,6 +120,8 @@ class FrameReader(Iterable[NDArray]):
         Type of the grey levels.
     color : bool
         Whether the source has colors.
+    keep_color : bool
+        Whether frames are returned with them.
     axis : str
         Letter of the axis of frames in a file's metadata, such as Z or T; empty if there is none.
     pixel_size : float or None
@@ -129,9 +134,9 @@ class FrameReader(Iterable[NDArray]):
         The files that are read, in order.
     """
 
-    def __init__(self, source: Any, color: bool, region: Region | None, reduce: int) -> None:
+    def __init__(self, source: Any, keep_color: bool, region: Region | None, reduce: int) -> None:
         # The source is a Source or another reader, which has the same attributes.
-        self._source, self._keep_color = source, color
+        self._source, self.keep_color = source, keep_color
         self._region, self._reduce = region, reduce
         raw = source.read()
         name, first = next(raw, ("", np.empty((0, 0), np.uint8)))
@@ -179,7 +184,7 @@ class FrameReader(Iterable[NDArray]):
             frame = as_array(name, frame, dtype=np.float32)
         if frame.ndim == 3:
             frame = np.ascontiguousarray(frame[..., :3])
-            frame = frame if self._keep_color else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+            frame = frame if self.keep_color else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
         by, side = self._reduce, min(frame.shape[:2])
         if side < by:
             raise ValueError(f"reduce must be at most {side}, the smaller side, got {by}")

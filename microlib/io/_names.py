@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from itertools import pairwise
+from itertools import pairwise, product
 from math import prod
 from pathlib import Path
 from statistics import mode
@@ -30,49 +30,81 @@ def in_order(files: Sequence[Path]) -> list[Path]:
     -------
     list of Path
         In the order of their whole numbers, such as 2 before 10. Where signs, decimals or a counter
-        that begins again at 0 or 1 give another order, in that with evenly spaced numbers.
+        that begins again at 0 or 1 give another order, in that with evenly spaced numbers. Names
+        without numbers are in alphabetical order.
 
     Raises
     ------
     ValueError
-        If two files differ only in their format, or two orders are as good.
+        If two files differ only in their format, names differ in more than their numbers, or two
+        orders are as good.
 
     Warns
     -----
     UserWarning
-        If numbers are missing in an otherwise even sequence.
+        If numbers are missing in an otherwise even sequence, or names have no numbers.
     """
     names = [file.stem for file in files]
     if twice := sorted(file.name for file in files if names.count(file.stem) > 1):
         raise ValueError(f"frames must be one file each, got {twice[0]} and {twice[1]}")
-    parts = {file: re.split(_WHOLE, file.stem) for file in files}
-    natural = sorted(files, key=lambda f: [int(p) if k % 2 else p for k, p in enumerate(parts[f])])
     whole, decimal = _read(files, _WHOLE), _read(files, _DECIMAL)
     readings = [reading for reading in (whole, decimal, _rolled_over(whole)) if reading]
+    if not readings:
+        return _without_numbers(files)
     even = [reading for reading in readings if _is_even(reading)]
-    orders = [[file for _, file in reading] for reading in even or readings]
-    if not even:
-        orders.insert(0, natural)
-    # Two axes, such as channels and positions, have all pairs of their numbers.
-    if decimal and not even and len(decimal[0][0]) > 1:
-        columns = zip(*(numbers for numbers, _ in decimal), strict=True)
-        if prod(len(set(column)) for column in columns) == len(files):
-            orders.append([file for _, file in sorted(decimal, key=lambda each: each[0][::-1])])
-    for other in orders[1:]:
-        if other != orders[0]:
-            first, second = (", ".join(f.name for f in order[:4]) for order in (orders[0], other))
+    orders = even or readings
+    if decimal and not even:
+        orders = [*orders, *_by_another_number(decimal)]
+    first, *others = ([file for _, file in reading] for reading in orders)
+    for other in others:
+        if other != first:
+            both = [", ".join(file.name for file in order[:4]) for order in (first, other)]
             raise ValueError(
-                f"frames must have one order, their names give two: {first}, … or {second}, …; "
+                f"frames must have one order, their names give two: {both[0]}, … or {both[1]}, …; "
                 "rename them, give a pattern of some, or pass a list of files"
             )
-    if readings:
-        _warn_of_gaps((even or readings)[0])
-    return orders[0]
+    _warn_of_gaps(orders[0])
+    return first
+
+
+def _without_numbers(files: Sequence[Path]) -> list[Path]:
+    """Return files in alphabetical order; raise if some of their names are a numbered series."""
+    texts = {file: _split(file, _WHOLE)[::2] for file in sorted(files)}
+    ordered = [*texts]
+    for file, other in product(ordered, ordered):
+        if file != other and texts[file] == texts[other]:  # one series, and others beside it
+            stray = next((each for each in ordered if texts[each] != texts[file]), other)
+            raise ValueError(
+                f"frames must have names that differ only in numbers, got {file.name} and "
+                f"{stray.name}: give a pattern of some, or pass a list of files"
+            )
+    if len(files) > 1:
+        warnings.warn("names without a common number: frames in alphabetical order", stacklevel=2)
+    return ordered
+
+
+def _by_another_number(reading: Reading) -> Iterator[Reading]:
+    """Yield the orders by numbers that are not the first ones in the names."""
+    columns = [*zip(*(numbers for numbers, _ in reading), strict=True)]
+    # Two axes, such as channels and positions, have all pairs of their numbers.
+    if len(columns) > 1 and prod(len(set(column)) for column in columns) == len(reading):
+        yield sorted(reading, key=lambda each: each[0][::-1])
+    for column in columns[1:]:
+        pairs = zip(column, reading, strict=True)
+        counter: Reading = [((number,), file) for number, (_, file) in pairs]
+        counter.sort()
+        if len(set(column)) == len(reading) and _is_even(counter):
+            yield counter
+
+
+def _split(file: Path, pattern: str) -> list[str]:
+    """Return text and numbers of a name in turn."""
+    return re.split(pattern, file.stem.casefold())
 
 
 def _read(files: Sequence[Path], pattern: str) -> Reading | None:
     """Read the numbers in names; None if the text around them differs, or two have the same."""
-    parts = [re.split(pattern, file.stem) for file in files]
+    parts = [_split(file, pattern) for file in files]
     if len({tuple(each[::2]) for each in parts}) != 1:
         return None
     columns = [c for c in zip(*(each[1::2] for each in parts), strict=True) if len(set(c)) > 1]

@@ -91,6 +91,15 @@ def select_frames(
     return list(product(*ranges)), left
 
 
+def check_axis_of_frames(shape: Sequence[int]) -> None:
+    """Raise for frames so narrow that the last axis is more likely that of the frames."""
+    if 0 < 4 * shape[2] < min(shape[:2]):
+        raise ValueError(
+            f"frames must come along the first axis, got shape {tuple(shape)}: numpy.moveaxis "
+            "changes the order of axes; a list may have frames so narrow"
+        )
+
+
 @contextmanager
 def reading(what: object) -> Iterator[None]:
     """Raise a ValueError for any exception of a decoder, which damaged bytes can cause."""

@@ -23,7 +23,14 @@ from microlib.io._pictures import (
     open_pictures,
     read_picture,
 )
-from microlib.io._source import Choice, NamedFrames, Source, reading, select_frames
+from microlib.io._source import (
+    Choice,
+    NamedFrames,
+    Source,
+    check_axis_of_frames,
+    reading,
+    select_frames,
+)
 from microlib.io._tiff import TIFF, open_tiff
 
 _READERS: dict[str, Callable[[Path], Source]] = {
@@ -55,7 +62,8 @@ def open_source(frames: Frames, choice: Choice) -> Source:
 def _open_path(path: Path, choice: Choice) -> Source:
     zarr, suffix = _is_zarr(path), path.suffix.lower()
     if not zarr and (path.is_dir() or (not path.exists() and glob.has_magic(str(path)))):
-        return open_pictures(in_order(image_files(path)))
+        files = in_order(image_files(path))
+        return open_pictures(files) if len(files) > 1 else _open_path(files[0], choice)
     if not path.exists():
         raise ValueError(f"frames cannot be read from {path}: no such file")
     with reading(f"frames cannot be read from {path}"):
@@ -77,11 +85,7 @@ def open_array(frames: Any, files: tuple[Path, ...] = ()) -> Source:
     if not (len(shape) == 3 or (len(shape) == 4 and shape[-1] in (3, 4))):
         need = "frames must have shape (any, any, any), or (any, any, any, 3) in color"
         raise ValueError(f"{need}, got {shape}")
-    if 0 < 4 * shape[2] < min(shape[:2]):
-        raise ValueError(
-            f"frames must come along the first axis, got shape {shape}: numpy.moveaxis changes the "
-            "order of axes; a list may have frames so narrow"
-        )
+    check_axis_of_frames(shape)
     return Source(_at(frames, range(shape[0])), count=shape[0], files=files)
 
 

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from microlib.io._metadata import tiff_scale
-from microlib.io._source import Choice, NamedFrames, Source, reading, select_frames
+from microlib.io._source import (
+    Choice,
+    NamedFrames,
+    Source,
+    check_axis_of_frames,
+    reading,
+    select_frames,
+)
 
 TIFF = frozenset({".tif", ".tiff"})
 #: Kinds of pixels: grey, red, green and blue (as JPEG stores them, too), colors of a palette.
@@ -73,10 +80,12 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
 def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader], str]:
     """Return a reader of each frame, and the letter of the axis of frames."""
     _check_chain(tiff)
-    series, every = tiff.series, "series" not in choice
-    if not every:
+    every = "series" not in choice
+    if every:
+        series = [each for each in tiff.series if not each.keyframe.is_reduced]
+    else:
         number = choice.pop("series")
-        series = series[number : number + 1]
+        series = tiff.series[number : number + 1]
     if not series or (len(series) > 1 and any(each.axes not in ("YX", "YXS") for each in series)):
         shapes = ", ".join(f"{each.axes} {tuple(each.shape)}" for each in tiff.series[:5])
         raise ValueError(f"it holds {len(tiff.series)} series of images ({shapes}): choose one")
@@ -84,6 +93,8 @@ def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader
     total, axis = 0, ""
     for each in series:
         leading = len(each.axes) - len(each.keyframe.axes)
+        if each.axes[leading:] != each.keyframe.axes:
+            raise ValueError(f"its axes {each.axes} must end in rows Y and columns X")
         shape = each.shape[:leading]
         indices, axis = select_frames(each.axes[:leading], shape, choice)
         found = _page_readers(tiff, each)
@@ -91,10 +102,18 @@ def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader
         readers += [found[numbers[index]] for index in indices]
         total += len(found)
     described = max(total, (tiff.imagej_metadata or {}).get("images", total))
-    held = total if described > total else max(total, len(tiff.pages))
+    held = total if described > total else max(total, _count_pages(tiff))
     if described != held and every:
         raise ValueError(f"its metadata describe {described} pages, it holds {held}")
+    if tiff.is_shaped and axis == "Q":  # an array that was written as it was
+        page = series[0].keyframe
+        check_axis_of_frames((len(readers), page.imagelength, page.imagewidth))
     return readers, axis
+
+
+def _count_pages(tiff: tifffile.TiffFile) -> int:
+    """Return the number of pages, without reduced images for a preview."""
+    return sum(not page.aspage().is_reduced for page in tiff.pages)
 
 
 def _check_chain(tiff: tifffile.TiffFile) -> None:

@@ -35,6 +35,9 @@ def test_file_is_replaced_when_the_new_one_is_complete(tmp_path, fault):
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(ValueError, match=r"^path must lie in an existing folder, got .*missing"):
         replace_file(tmp_path / "missing" / "a.csv", os.fspath)
+    for folder in (".", "..", tmp_path):
+        with pytest.raises(ValueError, match=r"^path must name a file, got the folder"):
+            replace_file(folder, os.fspath)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="of POSIX")

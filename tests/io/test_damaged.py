@@ -41,6 +41,15 @@ def four_inks(folder: Path, frames: NDArray) -> Path:
     return tiff(folder / "a.tif", np.stack([frames[0]] * 4, -1), photometric="separated")
 
 
+def frames_along_the_last_axis(folder: Path, frames: NDArray) -> Path:
+    return tiff(folder / "a.tif", np.moveaxis(frames[:9], 0, -1), photometric="minisblack")
+
+
+def axes_in_another_order(folder: Path, frames: NDArray) -> Path:
+    how = {"photometric": "minisblack", "metadata": {"axes": "YXZ"}}
+    return tiff(folder / "a.tif", np.moveaxis(frames, 0, -1), **how)
+
+
 def zeroed_strip(folder: Path, frames: NDArray) -> Path:
     path = tiff(folder / "a.tif", frames, compression="zlib", photometric="minisblack")
     with tifffile.TiffFile(path) as file:
@@ -89,6 +98,8 @@ NO_IMAGE = ": damaged, too large or of an unknown format"
         (several_series, r"holds 2 series of images \(QYX \(12, 48, 56\), YX"),
         (stack_for_a_frame, r"a\.tif: it must hold one page to be one frame, got 12"),
         (four_inks, r"page 0 of .*a\.tif .* red, green and blue, got SEPARATED"),
+        (frames_along_the_last_axis, r"come along the first axis, got shape \(48, 56, 9\)"),
+        (axes_in_another_order, r"axes YXZ must end in rows Y and columns X"),
         (zeroed_strip, r"page 2 of .*a\.tif cannot be read"),
         (truncated_strip, r"a\.tif cannot be read: the file is cut off"),
         (missing_file_of_a_set, "metadata describe 5 pages, it holds .* must lie beside it"),

@@ -287,6 +287,18 @@ def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
     assert_frames(["~a.png"], stack[:1])
 
 
+@pytest.mark.parametrize("place", ["after each page", "at the end"])
+def test_preview_beside_pages_is_no_frame(stack, tmp_path, place):
+    """As cameras and Olympus' and FEI's programs write it."""
+    how = {"metadata": None, "photometric": "minisblack"}
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for k, frame in enumerate(stack[:3]):
+            file.write(frame, **how)
+            if k == 2 or place == "after each page":
+                file.write(frame[::4, ::4], subfiletype=1, **how)
+    assert_frames(tmp_path / "a.tif", stack[:3])
+
+
 # --- Axes ----------------------------------------------------------------------------------------
 
 

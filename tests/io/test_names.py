@@ -28,6 +28,8 @@ def read(source: Path | str) -> list[int]:
 ORDERS = {
     "signs": [f"z{k:+d}" for k in range(-40, 50, 10)],
     "minus and nothing": [f"z{k}" for k in range(-4, 5)],
+    "uneven signs": ["z-40", "z-10", "z5", "z70"],
+    "powers of ten": ["z1e-02", "z1e-01", "z1e+00", "z1e+01"],
     "up to zero": [f"z_{k}" for k in range(-40, 10, 10)],
     "signed decimals": [f"p{k:+.1f}um" for k in np.arange(-1.0, 1.25, 0.25).round(2)[::2]],
     "decimals": [f"z_{k:g}" for k in np.arange(9) * 0.05],
@@ -39,7 +41,9 @@ ORDERS = {
     "a counter from 9999 to 0001": [f"DSC_{(9993 + k) % 9999 + 1:04d}" for k in range(9)],
     "a counter from 999 to 000": [f"i{k % 1000:03d}" for k in range(995, 1004)],
     "the time beside the number": [f"f{k}_{12 + 7 * k}" for k in range(12)],
-    "digits before letters": ["2a1", "10a1", "10a2", "10b", "a", "a1", "a1b", "a02", "a10", "b1"],
+    "upper and lower case": ["IMG8", "img9", "IMG10", "Img11"],
+    "copies of Windows": [f"scan ({k})" for k in range(1, 13)],
+    "speeds and numbers": [f"V1.75f3.125{k:04}" for k in range(1, 10)],
     "long numbers": [f"{20240101120000000000 + k}" for k in range(9)],
 }
 
@@ -56,13 +60,17 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
 @pytest.mark.parametrize(
     ("names", "both"),
     [
-        (["z-40", "z-10", "z5", "z70"], r"z-10\.png, z-40\.png.* or z-40\.png, z-10"),
         (["v1.2", "v1.10", "v1.13", "v1.4"], r"v1\.2\.png, v1\.4.* or v1\.10\.png, v1\.13"),
         (
             [f"c{c}_z{z}" for c in range(2) for z in range(4)],
             r"c0_z0\.png, c0_z1.* or c0_z0\.png, c1_z0",
         ),
         ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
+        # A counter against the times beside it.
+        (
+            [f"{t}_{k}" for t, k in ((31, 3), (44, 1), (58, 2), (97, 0))],
+            r"31_3\.png, 44_1\.png.* or 97_0\.png, 44_1",
+        ),
     ],
 )
 def test_ambiguous_order_is_rejected_with_both_readings(tmp_path, names, both):
@@ -71,6 +79,31 @@ def test_ambiguous_order_is_rejected_with_both_readings(tmp_path, names, both):
         read_frames(tmp_path)
     files = [tmp_path / f"{name}.png" for name in names]
     assert [int(frame[0, 0]) for frame in read_frames(files)] == list(range(len(names)))
+
+
+@pytest.mark.parametrize(
+    ("names", "two"),
+    [
+        (["a1", "a2", "a3", "b1", "b2", "b3"], r"a1\.png and b1"),
+        (["pcb_1", "pcb_2", "pcb_3", "expected"], r"pcb_1\.png and expected"),
+        (["i1", "i2", "i3", "i1 (1)", "i2 (1)"], r"i1 \(1\)\.png and i1\.png"),
+        (["zm20", "zm10", "z0", "zp10", "zp20"], r"zm10\.png and z0"),
+        (["z500um", "z1mm", "z2mm"], r"z1mm\.png and z500um"),
+        (["i1", "i01", "i2"], r"i01\.png and i1\.png"),
+    ],
+)
+def test_names_that_differ_in_more_than_numbers_are_rejected(tmp_path, names, two):
+    """As of two stacks, or of another picture beside a stack."""
+    write(tmp_path, names)
+    with pytest.raises(ValueError, match=f"differ only in numbers, got {two}"):
+        read_frames(tmp_path)
+    assert read([tmp_path / f"{name}.png" for name in names]) == [*range(len(names))]
+
+
+def test_names_without_numbers_are_in_alphabetical_order(tmp_path):
+    write(tmp_path, ["far", "middle", "near"])
+    with pytest.warns(UserWarning, match="without a common number: frames in alphabetical order"):
+        assert read(tmp_path) == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

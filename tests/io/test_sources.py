@@ -112,6 +112,9 @@ def test_reader_of_a_reader_equals_one_reader(stack, tmp_path):
         )
         grey = read_frames(read_frames(source), color=True)
         assert not grey.color
+        # A reader of a reader keeps its colors, unless it is asked for grey levels.
+        np.testing.assert_array_equal(read_stack(read_frames(source, color=True)), color)
+        assert read_stack(read_frames(source, color=True), color=False).shape == stack.shape
 
 
 def test_files_and_arrays_are_read_again_and_iterators_once(stack):
@@ -161,6 +164,16 @@ def test_empty_list_is_a_reader_of_no_frames():
 
 def test_list_of_images_with_few_columns_is_no_color_image():
     assert read_frames(list(np.zeros((99, 99, 5), np.uint8))).shape == (99, 5)
+
+
+def test_folder_with_one_file_is_that_file(stack, tmp_path):
+    how = {"imagej": True, "resolution": (0.8, 0.8), "metadata": {"axes": "ZYX", "unit": "um"}}
+    tifffile.imwrite(tmp_path / "scan.tif", stack, **how)
+    (tmp_path / "notes.txt").write_text("25 µm")
+    for source in (tmp_path, tmp_path / "*.tif"):
+        reader = read_frames(source)
+        assert (reader.axis, reader.pixel_size) == ("Z", pytest.approx(1.25))
+        np.testing.assert_array_equal(np.stack(list(reader)), stack)
 
 
 def test_results_in_the_folder_of_frames_are_left_out(stack, tmp_path):
