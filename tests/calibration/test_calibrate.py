@@ -542,6 +542,15 @@ def test_held_out_error_agrees_with_opencv():
     assert np.isnan(calibrate(world[:2], image[:2], **CAMERA).held_out).all()
 
 
+def test_held_out_views_do_not_determine_their_lens():
+    """A lens that was fitted without a view fits it worse than the lens of all views does."""
+    world, image = lens_views(5, aside=(14, -9))
+    some = np.random.default_rng(0).permutation(len(world[0]))[:10]
+    found = calibrate([w[some] for w in world], [i[some] for i in image], **CAMERA)
+    apart = len(some) * np.sum(found.held_out**2)
+    assert apart > 1.1 * np.sum(found.residuals**2)
+
+
 def test_inconsistent_view_has_the_largest_held_out_error():
     """As if every second row of a board had been skipped in one photograph."""
     world, image = lens_views(6, aside=(14, -9))
