@@ -6,7 +6,6 @@ import hashlib
 import json
 from pathlib import Path
 
-import yaml
 from rocrate.rocrate import ROCrate
 
 
@@ -31,14 +30,3 @@ def test_certificate_has_hash_of_published_verdicts(html: Path) -> None:
     made = json.loads((html / "certificate.json").read_text(encoding="utf-8"))
     assert hashlib.sha256(text.encode()).hexdigest() == made["sha256"]["verdicts"]
     assert sum(made["verdicts"].values()) == len(rows)
-
-
-def test_codecheck_file_lists_existing_files_and_claims_no_check(html: Path) -> None:
-    text = (html / "codecheck.yml").read_text(encoding="utf-8")
-    assert text.startswith("---\n")
-    content = yaml.safe_load(text)
-    assert content["version"] == "https://codecheck.org.uk/spec/config/1.0/"
-    assert all((html / item["file"]).is_file() and item["comment"] for item in content["manifest"])
-    assert content["paper"]["title"]
-    assert content["paper"]["authors"][0]["name"]
-    assert not {"codechecker", "report", "certificate"} & set(content)

@@ -72,13 +72,6 @@ def contrast(one: str, other: str) -> float:
     return (max(light) + 0.05) / (min(light) + 0.05)
 
 
-def test_figures_are_svg_with_true_color_images(html: Path, figures: dict[str, ET.Element]) -> None:
-    assert len(figures) > 50
-    assert {path.suffix for path in (html / "_images").iterdir()} == {".svg"}
-    for name, root in figures.items():
-        assert {one.mode for one in embedded(root)} <= {"L", "RGB", "RGBA"}, name
-
-
 @pytest.mark.parametrize("scheme", PAGES)
 def test_color_bar_pixels_in_browser_are_viridis(browser: Browser, html: Path, scheme: str) -> None:
     """From Matplotlib through notebook, page and browser: the pixels are viridis."""
@@ -152,23 +145,6 @@ def test_figure_opens_with_caption_and_closes_in_four_ways(page: Page, html: Pat
         page.wait_for_function("!history.state?.figure")
     assert page.url == (html / CHAPTER).as_uri()
     assert page.faults == []  # type: ignore[attr-defined]
-
-
-def test_pinch_enlarges_figure_and_tap_closes_it(browser: Browser, html: Path) -> None:
-    context = browser.new_context(viewport={"width": PHONE, "height": 740}, has_touch=True)
-    page = context.new_page()
-    page.goto((html / CHAPTER).as_uri())
-    page.locator("#fig-ch3-profile a.enlarge").tap()
-    width = "document.querySelector('.figure-view img').getBoundingClientRect().width"
-    fitting = page.evaluate(width)
-    session = context.new_cdp_session(page)
-    for kind, apart in (("touchStart", 40), ("touchMove", 60), ("touchMove", 120), ("touchEnd", 0)):
-        points = [{"x": 180 + side * apart / 2, "y": 300} for side in (-1, 1)] if apart else []
-        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-    assert page.evaluate(width) > 1.8 * fitting
-    page.touchscreen.tap(180, 300)
-    page.wait_for_function("!document.querySelector('#figure-dialog').open")
-    context.close()
 
 
 def test_surface_rotates_on_screen_and_prints_as_image(page: Page, html: Path) -> None:

@@ -41,6 +41,8 @@ TASKS = {
                                       "article a:has-text('Pixels to micro')", "-p photograph"),
     "how sure is a height": ("article a:has-text('How sure is a number')", "reliability diagram"),
     "which function of an equation": ("?q=(3.10)", "ul.search li a", "in code: "),
+    "chapter 3 with another window": ("article a:has-text('how it was done')",
+                                      "article a[href$='#ch3']", "-p window 9"),
     "a figure in large": ("a:has-text('Stiffness')", "figure a.enlarge", "Close"),
     "a proof": ("article a:has-text('errata')", ".erratum-sources a", "def test_"),
 }  # fmt: skip

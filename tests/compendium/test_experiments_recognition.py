@@ -34,42 +34,6 @@ def test_rendered_ball_has_true_curvature_and_height_in_every_pose(pose):
     np.testing.assert_allclose(bend.mean[top], -1 / radius, rtol=0.06)
 
 
-def test_rendered_ground_is_a_plane_with_the_given_tilt():
-    _, ground = recognition.surface(PARTS["cone"], POSES["tilted"])
-    slope_y, slope_x = np.gradient(ground, PIXEL)
-    np.testing.assert_allclose(np.hypot(slope_x, slope_y), np.tan(0.25), rtol=1e-9)
-    np.testing.assert_allclose(
-        np.arctan2(-slope_y, -slope_x),
-        np.arctan2(*(-np.array([np.sin(1.1), np.cos(1.1)]))) + np.pi,
-        rtol=1e-9,
-    )
-
-
-def test_frames_are_sharp_at_their_position_and_blurred_by_a_disc():
-    point = np.zeros((recognition.SIDE,) * 2)
-    point[48, 48] = 1.0
-    frames = recognition.blur(point, np.full(point.shape, 100.0))
-    y, x = np.indices(point.shape) - 48
-    second = (frames * (x**2 + y**2)).sum(axis=(1, 2))
-    # A disc has the mean square distance r²/2, and a square pixel adds 1/6; between two radii the
-    # images are interpolated, which adds up to 3 %.
-    radius = np.hypot(0.7, 0.05 * (100.0 - recognition.POSITIONS))
-    near = radius < recognition.RADII[-1]
-    np.testing.assert_allclose(frames.sum(axis=(1, 2)), 1, atol=1e-5)
-    np.testing.assert_allclose(second[near], radius[near] ** 2 / 2 + 1 / 6, rtol=0.035, atol=0.1)
-
-
-def test_a_part_hides_the_ground_behind_it():
-    """The frame in focus on a step's top shows its texture up to the edge, without ground."""
-    rng = np.random.default_rng(3)
-    height, clean = recognition.render(PARTS["step"], Pose(), rng)
-    assert np.unique(height.round(3)).tolist() == pytest.approx([0, 0.9 * RADIUS], abs=0.01)
-    depth, error = recognition.reconstruct(clean, 2.0, rng)
-    inner = np.ones(height.shape, bool)
-    inner[:, 40:56] = False
-    assert np.nanmedian(np.abs(depth - height)[inner]) < 2 * error < 4.0
-
-
 def test_a_description_does_not_depend_on_direction_and_unit_of_length():
     rng = np.random.default_rng(4)
     height = recognition.surface(PARTS["gripper jaw"], POSES["tilted"])[0]
@@ -114,12 +78,3 @@ def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure():
     units = np.array([1.0, 1000.0])
     scaled = recognition.recognize(given * units, training * units, names, [1, 1])
     np.testing.assert_allclose(scaled["distance"], found["distance"])
-
-
-def test_the_interval_is_that_of_the_formula():
-    """Of Wilson; the experiment takes it from SciPy."""
-    z, p, n = 1.959964, 0.9, 40
-    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    expected = (100 * p, 100 * (middle - half), 100 * (middle + half))
-    assert recognition.wilson(np.arange(40) < 36) == pytest.approx(expected, rel=1e-6)

@@ -29,15 +29,6 @@ def test_tracking_fails_at_high_speed():
     assert found.index.name == "speed (px/s)"
 
 
-def test_texture_sequence_moves_by_whole_pixels():
-    """By whole pixels and without noise it is the same picture elsewhere."""
-    near = section_5_3.texture_sequence(
-        [[3, 8], [10, 5]], np.random.default_rng(0), size=15, noise=0.0
-    )
-    np.testing.assert_allclose(near[1][5:20, 10:25].astype(int), near[0][8:23, 3:18], atol=1)
-    np.testing.assert_array_equal(near[0][23:], near[1][23:])
-
-
 def test_texture_sequence_moves_by_fractions_of_a_pixel():
     """By the tracker, which shares nothing with the renderer and errs by a hundredth of a pixel."""
     path = [[9.2, 8.7], [9.5, 8.5]]

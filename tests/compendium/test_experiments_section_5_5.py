@@ -7,34 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compendium import ledger, thesis
+from compendium import ledger
 from compendium.experiments import section_5_5
 
 
 @pytest.fixture(scope="module")
 def ridge():
     return section_5_5.render_ridge(9)
-
-
-def test_thesis_method_finds_ridge(ridge):
-    table = section_5_5.ridge_errors(ridge, 9)
-    assert table.pop("known by default (%)")["blur by distance"] > 99
-    printed = table.loc["two levels of blur"]
-    assert printed["and corrected, averaged"] < thesis.RIDGE_STEP / 2
-    assert printed["and corrected, averaged"] < printed["SML, (3.13)"]
-    # A lens tells more than the nearest frame, in every chain.
-    assert (table.loc["blur by distance"] < table.loc["two levels of blur"]).all()
-    assert table.loc["blur by distance"].max() < thesis.RIDGE_STEP / 2
-
-
-def test_printed_windows_halve_second_derivative():
-    y, x = np.mgrid[-20:21, -20:21].astype(float)
-    mean, gaussian = section_5_5.thesis_curvature(-(x**2 + y**2) / 100)
-    # Of H = −0.02 and K = 0.0004 at the top; smoothing leaves a paraboloid as it is.
-    assert mean[20, 20] == pytest.approx(-0.01)
-    assert gaussian[20, 20] == pytest.approx(0.0001)
-    # The mixed derivative has no d2: a saddle along the diagonals keeps its K.
-    assert section_5_5.thesis_curvature(x * y / 50)[1][20, 20] == pytest.approx(-0.0004)
 
 
 def fits(name: str, value: float) -> bool:

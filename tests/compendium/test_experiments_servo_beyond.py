@@ -9,21 +9,6 @@ from compendium import thesis
 from compendium.experiments import section_5_4, servo_disturbances
 
 
-@pytest.mark.parametrize("label", servo_disturbances.DISTURBANCES)
-def test_disturbance_increases_error(station, label):
-    path = station.path("circle")
-    strength = {"frames dropped": (0.3, 0.0), "frames logged twice": (0.3, 0.0)}
-    strong = strength.get(label, (1.0 if "begun" in label or "noise" in label else 0.1, 8.0))
-    values = np.repeat([(0.0, 0.0), strong], 12, axis=0)
-    jitter = np.full(24, station.jitter)
-    found = servo_disturbances.disturbed(station, "4X", path, label, values, jitter)
-    still, disturbed = np.median(found.reshape(2, 12, 2), axis=1)
-    # A lag of one frame of motion, without the disturbance.
-    lag = 40.0 * thesis.FRAME_INTERVAL * thesis.effective_pixel("4X")
-    assert still[0] == pytest.approx(lag, rel=0.1)
-    assert (disturbed[1] > 1.2 * still[1]) == (label != "none")
-
-
 def test_known_disturbance_is_identified(station, monkeypatch):
     """Numbers that paths begun 14 µm beside their start give, in place of the printed ones."""
     label = "begun beside the start"

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.stats import norm
 
-from compendium.figures import films, panels, servoing, style, surfaces
+from compendium.figures import films, servoing, style, surfaces
 from compendium.figures.data import keep_data
 from microlib.curvature import HK_NAMES
 
@@ -102,15 +102,6 @@ def test_legend_lists_occurring_types_with_their_colors() -> None:
     ]
     shown = axes.images[0].to_rgba(axes.images[0].get_array())[[0, 1, 1], [1, 0, 1]]
     np.testing.assert_allclose(shown, [p.get_facecolor() for p in legend.get_patches()], atol=0.01)
-
-
-def test_panels_are_lettered_at_their_left_before_their_titles() -> None:
-    figure, row = plt.subplots(1, 3)
-    row[1].set_title("depth")
-    panels.letter(row)
-    assert [axes.get_title("left") for axes in row] == ["(a)", "(b) depth", "(c)"]
-    assert [axes.get_title() for axes in row] == ["", "", ""]
-    plt.close(figure)
 
 
 def test_film_loops_and_has_still_image() -> None:
