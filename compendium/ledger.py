@@ -357,6 +357,29 @@ def causes() -> Mapping[str, Mapping[str, str]]:
     return _read("causes.toml")
 
 
+def part_of(claim: Claim) -> str:
+    """Return the part of the thesis that a claim belongs to, a title that begins with its number.
+
+    Parameters
+    ----------
+    claim : Claim
+        The claim.
+
+    Returns
+    -------
+    str
+        One of the parts in ``parts.toml``.
+
+    Examples
+    --------
+    >>> from compendium.ledger import claim, part_of
+    >>> part_of(claim("table-5.6/E"))
+    '5.6 Stiffness of the embryo'
+    """
+    parts = _read("parts.toml").items()
+    return next(part for part, starts in parts if claim.id.startswith(tuple(starts)))
+
+
 def judge(claim: Claim, value: float, low: float, high: float) -> str:
     """Compare a computed number with its claim.
 
@@ -719,7 +742,7 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a claim in the thesis' order: claim, part (the table or section it belongs to),
+        One row a claim in the thesis' order: claim, part (from `part_of`),
         where, quantity, printed, recomputed, low, high, unit, verdict, star, fitted, undecided,
         cause, compared, rule, reason, corrected, says, note, test.
 
@@ -734,8 +757,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     names = ["unit", "verdict", "star", "fitted", "undecided", "cause", "compared", "rule"]
     names += ["reason", "corrected", "says", "note", "test"]
     for stated in claims().values():
-        part = stated.id.split("/")[0].replace("-", " ").capitalize()
-        row: dict[str, Any] = {"claim": stated.id, "part": part, "where": stated.where}
+        part, where = part_of(stated), stated.where
+        row: dict[str, Any] = {"claim": stated.id, "part": part, "where": where}
         row |= {"quantity": stated.what, "printed": stated.printed}
         row |= {"recomputed": "", "low": math.nan, "high": math.nan}
         if found := records.get(stated.id):

@@ -1,6 +1,7 @@
 """The benchmarks on their pages: a chart first, and the tables folded.
 
-- ``{benchmark-chart}`` with the name of a chart in `CHARTS`: one table of a result as a picture.
+- ``{benchmark-chart}`` with the name of a result: one of its tables as a dot plot, with a line for
+  each row and a symbol for each column.
 - ``{benchmarks}`` with the names of results: their tables, with the machine that they were
   measured on; without a name, the limits that must hold.
 
@@ -10,15 +11,17 @@ They read files of this project, for which no extension exists.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
-from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-from book_tables import IMPORT, line, raw_html, section, show, table
+from book_tables import line, raw_html, section, show, table
 from docutils import nodes
+from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -28,129 +31,34 @@ from sphinx.util.docutils import SphinxDirective
 from compendium import ROOT
 from compendium.figures.style import COLORS, to_svg, use_style
 
+#: A line that imports from `microlib`, and from which of its packages.
+IMPORT = re.compile(r"^\s*(?:from|import) microlib(?:\.| import )(\w+)", re.M)
 RESULTS = ROOT / "benchmarks" / "results"
 MARKERS = "osD^v*"
 
 
-@dataclass(frozen=True)
-class Chart:
-    """One table as a dot plot: a line for each row, a symbol for each column.
-
-    Attributes
-    ----------
-    result, table : str
-        The file of the result and the title of the table in it.
-    label : str
-        The text of a row, with the names of columns in braces.
-    columns : dict
-        The columns that are drawn, with their names in the legend.
-    quantity : str
-        The label of the horizontal axis.
-    rows : dict
-        Only rows with these values in these columns.
-    pivot : str
-        A column whose values become the columns; the numbers are those of `values`.
-    log : bool
-        Whether the axis is logarithmic.
-    """
-
-    result: str
-    table: str
-    label: str
-    columns: dict[str, str]
-    quantity: str
-    rows: dict[str, object] = field(default_factory=dict)
-    pivot: str = ""
-    values: str = ""
-    log: bool = True
-
-
-CHARTS = {
-    "calibration": Chart(
-        "calibration",
-        "Localisation, RMS px",
-        "blur {blur px} px, noise {noise}",
-        {
-            "circles, microlib": "circles, microlib",
-            "findCirclesGrid": "circles, OpenCV findCirclesGrid",
-            "squares, microlib": "squares, microlib",
-            "findChessboardCornersSB": "squares, OpenCV findChessboardCornersSB",
-        },
-        "RMS error of a detected point (px)",
-    ),
-    "tracking": Chart(
-        "tracking",
-        "Convergence",
-        "{warp}, {corner displacement (px)} px",
-        {"ESM": "ESM (microlib)", "ECC, filter 5": "ECC (OpenCV)", "pyramidal LK": "pyramidal LK"},
-        "trials in which all corners are found to 1 px (%)",
-        rows={"motion": "translation"},
-        pivot="method",
-        values="success (%)",
-        log=False,
-    ),
-    "servoing": Chart(
-        "servoing",
-        "Innovation gain",
-        "gain {innovation gain}",
-        {
-            "circle, 1X": "circle, 1X",
-            "square, 1X": "square, 1X",
-            "sinusoid, 1X": "sinusoid, 1X",
-            "circle, 4X": "circle, 4X",
-            "square, 4X": "square, 4X",
-            "sinusoid, 4X": "sinusoid, 4X",
-        },
-        "mean error along the path (µm)",
-    ),
-    "focus": Chart(
-        "focus",
-        "RMS depth error, steps between frames",
-        "{scene}",
-        {
-            "microlib": "microlib, default",
-            "SML 9×9": "measure of the thesis (SML 9×9)",
-            "best other": "best other method",
-        },
-        "RMS height error (focus steps)",
-    ),
-    "embryo": Chart(
-        "capsule_embryo",
-        "Modulus of rendered capsules, by probe",
-        "{probe}",
-        {
-            "bias of E (%)": "mean error",
-            "spread of E (%)": "standard deviation",
-            "worst (%)": "largest error",
-        },
-        "error of the modulus (%)",
-        log=False,
-    ),
-}
-
-
-def rows_of(chart: Chart) -> pd.DataFrame:
+def rows_of(result: str, options: dict[str, str]) -> pd.DataFrame:
     """Return the numbers of a chart: a row for each line, a column for each symbol."""
-    record = json.loads((RESULTS / f"{chart.result}.json").read_text(encoding="utf-8"))
-    content = record["tables"][chart.table]
+    record = json.loads((RESULTS / f"{result}.json").read_text(encoding="utf-8"))
+    content = record["tables"][options["table"]]
     found = pd.DataFrame(content["data"], columns=content["columns"])
-    for column, value in chart.rows.items():
+    if "rows" in options:
+        column, _, value = options["rows"].partition(" = ")
         found = found[found[column] == value]
-    names = [chart.label.format(**row) for row in found.to_dict("records")]
-    if chart.pivot:
+    names = [options["label"].format(**row) for row in found.to_dict("records")]
+    found.index = pd.Index(names)
+    if "pivot" in options:
         found = found.assign(name=names).pivot(
-            index="name", columns=chart.pivot, values=chart.values
+            index="name", columns=options["pivot"], values=options["values"]
         )
         found = found.loc[list(dict.fromkeys(names))]
-    else:
-        found.index = pd.Index(names)
-    shown = found[list(chart.columns)].rename(columns=chart.columns)
+    series = dict(one.strip().partition(" = ")[::2] for one in options["columns"].split("|"))
+    shown = found[list(series)].rename(columns={k: v for k, v in series.items() if v})
     return shown.apply(pd.to_numeric, errors="coerce")  # a text says that nothing was found
 
 
-def draw(chart: Chart) -> Figure:
+def draw(found: pd.DataFrame, quantity: str, *, log: bool) -> Figure:
     use_style()
-    found = rows_of(chart)
     figure = Figure(figsize=(5.2, 1.8 + 0.34 * len(found) + 0.22 * len(found.columns)))
     axes = figure.subplots()
     places = range(len(found), 0, -1)
@@ -159,9 +67,9 @@ def draw(chart: Chart) -> Figure:
         axes.plot(
             found[name].to_numpy(), list(places), marker, color=color, label=name, markersize=7
         )
-    axes.set(yticks=list(places), xlabel=chart.quantity)
+    axes.set(yticks=list(places), xlabel=quantity)
     axes.set_yticklabels(list(found.index))
-    if chart.log:
+    if log:
         axes.set_xscale("log")
         few_decades = np.nanmax(found) < 20 * np.nanmin(found)  # the labels have room
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few_decades else (1,)))
@@ -173,19 +81,27 @@ def draw(chart: Chart) -> Figure:
 
 
 class BenchmarkChart(SphinxDirective):
-    """A chart with its caption, which is the content of the directive."""
+    """A chart of one table, with its caption, which is the content of the directive.
+
+    Its options are the title of the ``table``; the ``label`` of a row, with columns in braces; the
+    ``columns`` that are drawn, each perhaps with its name in the legend; and the ``quantity`` of
+    the horizontal axis, which is logarithmic unless it is ``linear``. ``rows`` keeps those with
+    one value in a column. The values of the column ``pivot`` become columns of the ``values``.
+    """
 
     required_arguments = 1
     has_content = True
+    names = ("table", "label", "columns", "quantity", "rows", "pivot", "values")
+    option_spec: ClassVar = dict.fromkeys(names, str) | {"linear": directives.flag}
 
     def run(self) -> list[nodes.Node]:
-        name = self.arguments[0]
-        chart = CHARTS[name]
+        name, quantity = self.arguments[0], self.options["quantity"]
+        numbers = rows_of(name, self.options)
+        figure = draw(numbers, quantity, log="linear" not in self.options)
         folder = Path(self.env.app.outdir) / "_images"
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"benchmark_{name}.svg").write_text(to_svg(draw(chart)), encoding="utf-8")
-        numbers = rows_of(chart)
-        alt = f"Dot plot of {chart.quantity} for {len(numbers)} cases and "
+        (folder / f"benchmark_{name}.svg").write_text(to_svg(figure), encoding="utf-8")
+        alt = f"Dot plot of {quantity} for {len(numbers)} cases and "
         alt += f"{len(numbers.columns)} series: {', '.join(numbers)}. The tables have the numbers."
         result = nodes.container(classes=["benchmark-chart"])
         image = f'<img src="_images/benchmark_{name}.svg" alt="{escape(alt)}">'

@@ -12,8 +12,6 @@ from sphinx.config import Config
 
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
-#: A line that imports from `microlib`, and from which of its packages.
-IMPORT = re.compile(r"^\s*(?:from|import) microlib(?:\.| import )(\w+)", re.M)
 
 
 def table(head: list[str], rows: list[list], *, ids: list[str] | None = None) -> nodes.table:

@@ -38,19 +38,6 @@ from compendium.tables import verdict_link
 CLAIMS = ROOT / "build" / "claims"
 #: Most telling first.
 ORDER = ("disagrees", "cannot tell", "agrees", "fitted", "input")
-#: Parts of the thesis, and what the ids of their claims begin with.
-PARTS = {
-    "1 and 2 Introduction, microsystems and vision": ("section-1", "section-2"),
-    "3 Visual reconstruction and classification": ("section-3", "table-3"),
-    "4 Mechanical characterization": ("section-4",),
-    "5.1 Hardware": ("section-5.1",),
-    "5.2 Calibration": ("section-5.2", "table-5.1", "table-5.2"),
-    "5.3 Tracking": ("section-5.3",),
-    "5.4 Visual servoing": ("section-5.4", "table-5.3", "table-5.4"),
-    "5.5 Shape from focus and surface types": ("section-5.5",),
-    "5.6 Stiffness of the embryo": ("section-5.6", "table-5.5", "table-5.6", "table-5.7"),
-    "6 Abstract and conclusion": ("abstract", "section-6"),
-}
 #: How a count names the claims that were compared in one way.
 CLASSES = {
     "arithmetic": "compared by arithmetic",
@@ -64,15 +51,15 @@ def records() -> dict[str, ledger.Record]:
     return ledger.read_records(CLAIMS)
 
 
-def part_of(claim: ledger.Claim) -> str:
-    """Return the part of the thesis that a claim belongs to."""
-    return next(part for part, starts in PARTS.items() if claim.id.startswith(starts))
-
-
 def facets(claim: ledger.Claim) -> dict[str, str]:
     """Return what the list of claims can be narrowed by, as the address has it."""
     star, by = "starred" if claim.star else "unstarred", claim.compared or "not compared"
-    return {"verdict": claim.verdict, "star": star, "by": by, "part": part_of(claim).split()[0]}
+    return {
+        "verdict": claim.verdict,
+        "star": star,
+        "by": by,
+        "part": ledger.part_of(claim).split()[0],
+    }
 
 
 def count_class(claim: ledger.Claim) -> str:
@@ -171,7 +158,9 @@ class VerdictMap(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        sorts = [(part_of(c), c.verdict, facets(c)["star"]) for c in ledger.claims().values()]
+        sorts = [
+            (ledger.part_of(c), c.verdict, facets(c)["star"]) for c in ledger.claims().values()
+        ]
         counts = Counter(sorts)
         most = max(Counter(part for part, *_ in sorts).values())
         rows = []

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from book_map import TREATED, Item, find_items, read_map
-from book_packages import imported
 
 from compendium import ledger
 
@@ -75,12 +74,6 @@ def test_items_name_public_functions_claims_and_errata(item: Item) -> None:
     assert item.status in STATES[item.kind]
     assert (item.status == "corrected") == bool(item.erratum)
     assert not item.erratum or item.number in named(ledger.errata()[item.erratum]["where"])
-
-
-def test_imported_packages_are_read_from_code(tmp_path: Path) -> None:
-    code = "import microlib.a.b\nfrom microlib.c import d\ndef f():\n    from microlib import g\n"
-    (tmp_path / "one.py").write_text(code + "import microlibs.x\nfrom microlib_y import z\n")
-    assert imported(tmp_path) == imported(tmp_path / "one") == {"a", "c", "g"}
 
 
 def test_map_lists_every_section_promise_and_sentence() -> None:
