@@ -20,7 +20,14 @@ from microlib.focus._registration import Registration
 from microlib.focus._registration import register as find_registration
 from microlib.focus._result import DepthMap, FocusResult, build_result
 from microlib.focus._significance import peak_significance
-from microlib.focus._stack import Progress, Stack, margin_mask, read_stack, warn_of_changes
+from microlib.focus._stack import (
+    Progress,
+    Stack,
+    margin_mask,
+    read_stack,
+    warn_of_changes,
+    without_bad_frames,
+)
 from microlib.focus._symmetry import find_symmetry, shape_error
 from microlib.io import read_frames
 
@@ -98,8 +105,9 @@ def depth_from_focus(
     Warns
     -----
     UserWarning
-        If `register` leaves out frames that show another scene; if brightness or position changes
-        from frame to frame and `register` is not set; if frames have black margins.
+        If `register` leaves out frames that show another scene; if frames are left out that are
+        uniform, repeated or of another brightness than those around them; if brightness or position
+        changes from frame to frame and `register` is not set; if frames have black margins.
 
     Notes
     -----
@@ -187,6 +195,7 @@ def depth_from_focus(
     count, dtype, margin = len(stack.positions), stack.grey[0].dtype, margin_mask(stack.grey)
     registration = find_registration(stack.grey) if register else None
     if registration is None:
+        stack = without_bad_frames(stack)
         warn_of_changes(stack.grey)
     else:
         stack = registered(stack, registration)
@@ -217,6 +226,7 @@ def registered(stack: Stack, registration: Registration) -> Stack:
         grey=grey,
         images=registration.images(stack.images) if in_color else grey,
         positions=stack.positions[registration.kept],
+        numbers=registration.kept,
     )
 
 

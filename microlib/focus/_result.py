@@ -209,7 +209,6 @@ def build_result(
     warps = gain = offset = None
     if registration is not None:
         known &= ~registration.outside(np.where(known, index, -1))
-        index = registration.kept[index].astype(np.int32)
         warps, gain, offset = registration.warps, registration.gain, registration.offset
     if margin is not None:
         known &= ~margin
@@ -220,6 +219,7 @@ def build_result(
     random = np.float32((high - low) / np.sqrt(12))
     uncertainty = np.where(beyond, np.hypot(found.uncertainty, random), found.uncertainty)
     relative = uncertainty / np.float32(found.spacing)
+    index = stack.numbers[index].astype(np.int32)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import islice, product
+from dataclasses import dataclass, replace
+from itertools import combinations, islice, product
 from typing import Any
 
 import cv2
@@ -37,6 +37,8 @@ class Stack:
         Grey levels or colors, of which the all-in-focus image is made.
     positions : ndarray of float64, shape (n,)
         Position of each frame, µm.
+    numbers : ndarray of int, shape (n,)
+        Number of each frame among those that were read, some of which may be left out.
     pixel_size, corner
         From the frames' reader.
     """
@@ -44,6 +46,7 @@ class Stack:
     grey: list[Image]
     images: list[Image]
     positions: Array
+    numbers: NDArray[np.intp]
     pixel_size: float | None = None
     corner: tuple[float, float] = (0.0, 0.0)
 
@@ -73,7 +76,66 @@ def read_stack(
     z = check_positions(positions, spacing, len(images)) if z is None else z
     check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
     grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in images] if reader.color else images
-    return Stack(grey, images, z, reader.pixel_size, reader.corner)
+    return Stack(grey, images, z, np.arange(len(z)), reader.pixel_size, reader.corner)
+
+
+def without_bad_frames(stack: Stack) -> Stack:
+    """Return a stack without the `bad_frames`; warn if there are some."""
+    bad = bad_frames(stack.grey)
+    if not bad.any():
+        return stack
+    kept = np.flatnonzero(~bad)
+    return replace(
+        stack,
+        grey=[stack.grey[k] for k in kept],
+        images=[stack.images[k] for k in kept],
+        positions=stack.positions[kept],
+        numbers=stack.numbers[kept],
+    )
+
+
+def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
+    """Return which frames do not belong to a stack: black, white, repeated, or of other brightness.
+
+    One of them would give ground without texture a common peak. The brightness of a frame is
+    compared with straight lines through each two of its four nearest frames. It is another one if
+    no line comes close to it. Where more than a quarter of the frames differ, there is no rule that
+    some could break, and all frames belong to the stack.
+
+    Warns
+    -----
+    UserWarning
+        If there are such frames, with their numbers.
+    """
+    count = len(frames)
+    if count < 5:
+        return np.zeros(count, bool)
+    statistics = np.array([np.ravel(cv2.meanStdDev(frame)) for frame in frames])
+    level, contrast = statistics.T
+    apart = np.array([_from_neighbors(level, k) for k in range(count)])
+    bad = apart > max(0.1 * abs(np.median(level)), 8 * np.median(apart))
+    if np.median(contrast) > 0.01 * abs(np.median(level)):  # rounded frames of a wall may be equal
+        bad |= contrast == 0
+        for k in range(1, count):
+            alike = (statistics[k] == statistics[k - 1]).all()
+            bad[k] |= alike and np.array_equal(frames[k - 1], frames[k])
+    if np.count_nonzero(bad) > count / 4:
+        return np.zeros(count, bool)
+    if bad.any():
+        names = ", ".join(map(str, np.flatnonzero(bad)))
+        warnings.warn(
+            f"frames {names} are uniform, repeated or of another brightness: left out",
+            stacklevel=4,
+        )
+    return bad
+
+
+def _from_neighbors(level: Array, k: int) -> float:
+    """Return the least distance of a level from a line through two of its four nearest ones."""
+    number = np.arange(len(level))
+    near = np.argsort(np.abs(number - k), kind="stable")[1:5]
+    lines = [level[i] + (k - i) * (level[j] - level[i]) / (j - i) for i, j in combinations(near, 2)]
+    return float(np.abs(np.array(lines) - level[k]).min())
 
 
 def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import as_region
 from microlib.focus._peaks import check_count, check_positions
 from microlib.focus._result import FocusResult, build_result
-from microlib.focus._stack import Stack
+from microlib.focus._stack import Stack, bad_frames
 from microlib.focus.multiscale._axis import Axis, tile_pixels
 from microlib.focus.multiscale._depth import multiscale_depth
 from microlib.focus.multiscale._fits import describe_axis, fit_stack
@@ -69,6 +69,8 @@ def depth_in_blocks(
     rows, cols = (tile_pixels(n) for n in stack.shape[1:])
     # Properties of the whole image are found once, from its tiles.
     tiles, settings = list(stack[:, rows][:, :, cols].compute()), Settings()
+    kept = np.flatnonzero(~bad_frames(tiles))
+    stack, z, tiles = stack[kept], z[kept], [tiles[k] for k in kept]
     axis = describe_axis(tiles, z, settings)
     strength = typical(fit_stack(tiles, axis, settings).strength)
     inner = [n for chunks in stack.chunks[1:] for n in chunks[:-1]]
@@ -78,7 +80,9 @@ def depth_in_blocks(
     overlap = {k: _OVERLAP if k > 0 and stack.numblocks[k] > 1 else 0 for k in range(3)}
     parts = da.overlap.overlap(stack.rechunk({0: len(stack)}), overlap, boundary="none")
     chunks, meta = ((len(_MAPS) + 1,), *parts.chunks[1:]), np.empty((0, 0, 0), np.float32)
-    found = parts.map_blocks(_block, axis=axis, strength=strength, chunks=chunks, meta=meta)
+    found = parts.map_blocks(
+        _block, axis=axis, numbers=kept, strength=strength, chunks=chunks, meta=meta
+    )
     found = da.overlap.trim_internal(found, overlap, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
     image = found[len(_MAPS)].astype(stack.dtype)
@@ -86,10 +90,12 @@ def depth_in_blocks(
     return FocusResult(**maps, all_in_focus=image, **place)
 
 
-def _block(frames: NDArray, *, axis: Axis, strength: float) -> NDArray[np.float32]:
+def _block(
+    frames: NDArray, *, axis: Axis, numbers: NDArray[np.intp], strength: float
+) -> NDArray[np.float32]:
     """Return the maps of one block, one above the other."""
     grey, z = list(frames), axis.positions
     found = multiscale_depth(grey, z, axis=axis, typical_strength=strength)
-    result = build_result(found, Stack(grey, grey, z), frames.dtype)
+    result = build_result(found, Stack(grey, grey, z, numbers), frames.dtype)
     maps = (getattr(result, name) for name in _MAPS)
     return np.stack([*maps, result.all_in_focus], dtype=np.float32)
