@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -75,9 +76,9 @@ def read_frames(
         of files is ambiguous, their names differ in more than numbers or one frame has two files,
         or if a TIFF has axes to choose from, or more or fewer pages than its metadata describe.
         While the frames are read, if one is damaged or cut off, neither grey nor color, not finite,
-        or of another size or type than the first, or if a film ends before the number of frames in
-        its header. The message names the frame, and the page or axes of a TIFF. Frames that were
-        read before the error are valid.
+        or of another size or type than the first, if a film ends before the number of frames in its
+        header, or if a file changes meanwhile. The message names the frame, and the page or axes of
+        a TIFF. Frames that were read before the error are valid, unless a file changed.
 
     Warns
     -----
@@ -146,7 +147,7 @@ class FrameReader(Iterable[NDArray]):
         frame = self._prepare(name, first) if name else first
         self.shape, self.dtype = frame.shape[:2], frame.dtype
         self.count, self.axis, self.files = source.count, source.axis, source.files
-        self.positions = source.positions
+        self.positions, self._stamps = source.positions, _stamps(source.files)
         self.pixel_size = None if source.pixel_size is None else source.pixel_size * reduce
         x, y = np.add(source.corner, (0, 0) if region is None else region[:2]).tolist()
         to_center = (reduce - 1) / 2  # of the first block
@@ -168,6 +169,9 @@ class FrameReader(Iterable[NDArray]):
             if (got := _kind(frame)) != self._kind:
                 raise ValueError(f"{name} must be {self._kind} like the first frame, got {got}")
             yield name, self._prepare(name, frame)
+        for file, before, after in zip(self.files, self._stamps, _stamps(self.files), strict=True):
+            if after != before:
+                raise ValueError(f"frames must not change while they are read, got {file}")
 
     def _prepare(self, name: str, frame: NDArray) -> NDArray:
         """Return the region, reduced, in the colors and the type that are returned."""
@@ -187,13 +191,19 @@ class FrameReader(Iterable[NDArray]):
             frame = frame if self.keep_color else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
         by, side = self._reduce, min(frame.shape[:2])
         if side < by:
-            raise ValueError(f"reduce must be at most {side}, the smaller side, got {by}")
+            raise ArgumentError("reduce", f"must be at most {side}, the smaller side, got {by}")
         rows, cols = (n // by for n in frame.shape[:2])
         # Pixels beside the last block are left out.
         blocks = np.ascontiguousarray(frame[: rows * by, : cols * by])
         if by == 1:
             return blocks
         return np.asarray(cv2.resize(blocks, (cols, rows), interpolation=cv2.INTER_AREA))
+
+
+def _stamps(files: Sequence[Path]) -> list[tuple[int, int] | None]:
+    """Return time and size of each file, None if it is missing, which reading it reports."""
+    stats = [file.stat() if file.exists() else None for file in files]
+    return [stat and (stat.st_mtime_ns, stat.st_size) for stat in stats]
 
 
 def _kind(frame: NDArray) -> str:

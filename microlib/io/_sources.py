@@ -127,9 +127,15 @@ def open_zarr(path: Path, choice: Choice) -> Source:
         if len(series) > 1 and "series" not in choice:
             raise ValueError(f"it holds {len(series)} series of images: choose one")
         found = found[series[choice.pop("series", 0)]]
-    image = found.attrs.get("ome", found.attrs)["multiscales"][0]
+    about: Any = found.attrs.get("ome", found.attrs)
+    image = about.get("multiscales", [{}])[0]
+    axes = [axis["name"] if isinstance(axis, dict) else "" for axis in image.get("axes", [])]
+    if [name.upper() for name in axes[-2:]] != ["Y", "X"]:
+        raise ValueError(
+            "it must hold an array, or OME-Zarr 0.4 or 0.5 whose last axes are y and x"
+        )
     frames = found[image["datasets"][0]["path"]]
-    letters = "".join(axis["name"].upper() for axis in image["axes"])
+    letters = "".join(axes).upper()
     indices, axis = select_frames(letters[:-2], frames.shape[:-2], choice)
     size, positions = zarr_scale(image, axis, len(indices), path.name)
     return Source(_at(frames, indices), len(indices), axis, size, positions, files=(path,))

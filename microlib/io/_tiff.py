@@ -61,6 +61,8 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
     with tifffile.TiffFile(path, is_ome=False if alone else None) as tiff:
         readers, axis = _select_pages(tiff, choice)
         size, positions = tiff_scale(tiff, path.name, len(readers), wanted)
+        if axis == "T":  # whose frames have one position
+            positions = None
 
     def read() -> NamedFrames:
         with ExitStack() as opened:

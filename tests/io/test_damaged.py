@@ -296,3 +296,21 @@ def test_error_names_a_picture_that_was_removed(stack, tmp_path):
         with pytest.raises(ValueError, match=r"read from .*frame 3\.png: no such file"):
             next(frames)
         file_of(folder / "frame 3.png", kept)
+
+
+@pytest.mark.parametrize("change", ["another stack", "one page more", "one file"])
+def test_file_that_changes_while_it_is_read_is_rejected(stack, tmp_path, change):
+    how = {"metadata": None, "photometric": "minisblack"}
+    path = tiff(tmp_path / "a.tif", stack[:4], **how)
+    if change == "one file":
+        path = write_folder(tmp_path / "scan", stack[:4])
+    frames = iter(read_frames(path))
+    next(frames)
+    if change == "one file":
+        cv2.imwrite(str(path / "frame 0.png"), stack[7])
+    else:
+        tiff(path, 255 - stack[:4], **how, append=change == "one page more")
+    with pytest.raises(
+        ValueError, match=r"must not change while they are read, got .*(a.tif|0.png)"
+    ):
+        list(frames)

@@ -343,6 +343,15 @@ def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):
     assert (reader.axis, reader.count, reader.color) == (axis, COUNT, color)
 
 
+def test_times_have_no_positions(stack, tmp_path):
+    about = {"axes": "TYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 3.0}
+    film = tiff(tmp_path / "a.ome.tif", stack, metadata=about, photometric="minisblack")
+    assert (read_frames(film).pixel_size, read_frames(film).positions) == (2.0, None)
+    about = {"axes": "TYX", "spacing": 3.0, "unit": "um"}
+    film = tiff(tmp_path / "a.tif", stack, imagej=True, resolution=(0.5, 0.5), metadata=about)
+    assert (read_frames(film).pixel_size, read_frames(film).positions) == (2.0, None)
+
+
 def test_series_selects_an_image_of_the_file(stack, tmp_path):
     path = tmp_path / "a.ome.tif"
     images = {2.0: stack, 5.0: stack[:4, :9]}
@@ -410,3 +419,16 @@ def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
     with pytest.raises(ValueError, match="holds 2 series of images: choose one"):
         read_frames(tmp_path / "b.zarr")
     assert read_frames(tmp_path / "b.zarr", series=1).count == 4
+
+
+def test_other_groups_of_zarr_are_rejected(stack, tmp_path):
+    """A plate, a group of arrays, version 0.3, and an image with its frames along the last axis."""
+    write_ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
+    write_ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
+    zarr = pytest.importorskip("zarr")
+    old = zarr.open_group(str(tmp_path / "b"), mode="a")
+    old.attrs["multiscales"] = [{"axes": ["z", "y", "x"], "datasets": [{"path": "0"}]}]
+    zarr.open_group(str(tmp_path / "c"), mode="w").create_group("A")
+    for name in "abc":
+        with pytest.raises(ValueError, match=rf"{name}: it must hold an array, or OME-Zarr 0.4 or"):
+            read_frames(tmp_path / name)
