@@ -248,7 +248,9 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
     need = "world and image must fit one microscope, none was found: leave out the outlying views"
     if given is not None:
         need = f"focal_length must fit each view in focus, got {given:g} µm: better leave it out"
-    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():  # outside the domain of distort
+    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
+        start[1] = 0.0  # the linear κ of a wide-angle lens may lie outside the domain of distort
+    if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
         raise ValueError(need)
     found = least_squares(
         lambda values: evaluate(values.tobytes())[0],
@@ -265,10 +267,16 @@ def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
         raise ValueError(need)
     lens, poses = split(found.x)
     residuals, jacobian = evaluate(found.x.tobytes())
-    if lens[0] < 0:  # a positive distance and the opposite tilts give the same images
-        flip = np.concatenate([[-1, 1, 1, 1, 1], np.tile([1, 1, -1, -1, 1, 1], len(poses))])
-        lens, poses = lens * flip[: len(LENS)], poses * flip[len(LENS) :].reshape(poses.shape)
-        jacobian = jacobian * flip[free]
+    # The images are equal with −1/(T_op + f) and the opposite tilts, and, for a view, with −M, the
+    # opposite tilts and shifts, and half a turn.
+    behind = -1 if lens[0] < 0 else 1
+    mirrored = np.where((poses[:, 0] < 0) & (given is None), -1, 1)
+    tilts, one = behind * mirrored, np.ones(len(poses))
+    of_poses = np.stack([mirrored, one, tilts, tilts, mirrored, mirrored], axis=1)
+    flip = np.concatenate([[behind, 1, 1, 1, 1], of_poses.ravel()])
+    lens, poses = lens * flip[: len(LENS)], poses * of_poses
+    poses[:, 1] += np.pi * (mirrored < 0)
+    jacobian = jacobian * flip[free]
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
     return Fit(lens=lens, poses=poses, free=free, residuals=residuals, jacobian=jacobian)
 

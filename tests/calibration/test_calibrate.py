@@ -20,7 +20,7 @@ from microlib.calibration import (
     linear_intrinsics,
     radial_alignment,
 )
-from microlib.calibration._views import Views
+from microlib.calibration._views import Views, _fit
 from microlib.microscope import Microscope
 from microlib.synthetic import render_squares
 
@@ -385,18 +385,54 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack, adequate):
     )
 
 
-def test_random_points_are_rejected_by_the_library():
-    """The linear start lies beyond the reach of its distortion: nothing of SciPy comes out."""
-    refusals = []
+def test_random_points_are_rejected_or_leave_large_residuals():
+    """Of an error, nothing of SciPy comes out."""
+    refusals, residuals = [], []
     for seed in range(4):
         rng = np.random.default_rng(seed)
         world, image = rng.uniform(-500, 500, (30, 2)), rng.uniform(0, 400, (30, 2))
         try:
-            calibrate(world, image, **SENSOR)
+            residuals.append(calibrate(world, image, **SENSOR).reprojection.rms)
         except ValueError as refusal:
             refusals.append(str(refusal))
-    assert refusals
     assert all("world and image" in refusal for refusal in refusals)
+    assert all(rms > 100 for rms in residuals)  # the points scatter by 160 px
+
+
+@pytest.mark.parametrize("distortion", [0.05, 0.1])
+def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large(distortion):
+    """The linear κ was outside the domain of the model, and half of the views were rejected."""
+    camera = np.array([[210.0, 0, 319.5], [0, 210, 239.5], [0, 0, 1]])
+    board = 280.0 * np.stack(np.meshgrid(np.arange(11), np.arange(8)), -1).reshape(-1, 2)
+    board -= board.mean(axis=0)
+    flat = np.column_stack([board, 0 * board[:, 0]])
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rotation = cv2.Rodrigues(rng.uniform(-0.7, 0.7, 3))[0]
+        place = np.array([*rng.uniform(-400, 400, 2), 280 * 210 / 36])
+        seen = cv2.projectPoints(flat, rotation, place, camera, np.array([distortion, 0, 0, 0.0]))
+        seen = seen[0][:, 0] + rng.normal(0, NOISE, board.shape)
+        inside = ((seen >= 0) & (seen <= [639, 479])).all(axis=1)
+        found = calibrate(board[inside], seen[inside], **CAMERA)
+        # Brown's polynomial is not the inverse of (2.10).
+        assert found.reprojection.rms < 1.5
+        assert not found.adequate
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_mirrored_start_gives_a_positive_magnification(index):
+    """With −M, opposite shifts and tilts, and half a turn, the images are equal."""
+    scopes, world, image = tilted_views()
+    frame = Microscope(1.0, 1.0, 1.0, **SENSOR)
+    views = Views(world, [i - frame.principal_point for i in image], frame, None)
+    poses = np.array([[getattr(s, name) for name in ("magnification", *POSE[1:])] for s in scopes])
+    lens = np.array([1 / (2.59 * F), -8.4e-10, 0, 0, 0])
+    turned = poses.copy()
+    turned[index] = poses[index] * [-1, 1, -1, -1, -1, -1] + [0, np.pi, 0, 0, 0, 0]
+    plain, mirrored = (_fit(views, lens, start, [0, 1]) for start in (poses, turned))
+    np.testing.assert_allclose(mirrored.estimate, plain.estimate, rtol=1e-6, atol=1e-9)
+    scale = np.abs(plain.jacobian).max(axis=0)
+    np.testing.assert_allclose(mirrored.jacobian / scale, plain.jacobian / scale, atol=1e-6)
 
 
 # Several views

@@ -43,25 +43,29 @@ def find_corners(grey: NDArray[np.float32], kind: str, settings: Settings) -> tu
         for a chessboard, or without markers for a ChArUco board.
     """
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    boards = []
+    boards, fault = [], f"fewer than {FEWEST} of its corners"
     for blur in settings.saddle_blurs:
         with suppress(ValueError):
-            boards.append(_correlated(smooth, *_grow_board(grey, blur, kind), kind, settings))
+            board = _correlated(smooth, *_grow_board(grey, blur, kind), kind, settings)
+            if has_markers(smooth, *board) == (kind == "charuco"):
+                boards.append(board)
+            else:
+                fault = f"{'no markers' if kind == 'charuco' else 'one with markers'} in its fields"
     if not boards:
-        raise ValueError(f"image must show a {kind}, got fewer than {FEWEST} of its corners")
+        raise ValueError(f"image must show a {kind}, got {fault}")
     centers, grid = max(boards, key=lambda board: len(board[1]))
     to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, grey.shape)
-    if has_markers(smooth, centers, to_image.steps(grid), grid) != (kind == "charuco"):
-        fault = (
-            "no markers in its fields" if kind == "charuco" else "one with markers in its fields"
-        )
-        raise ValueError(f"image must show a {kind}, got {fault}")
     unknown = np.full((len(grid), 2, 2), np.nan)
     return Marks(grey, smooth, centers, unknown, to_image.scale(grid), settings), grid
 
 
-def has_markers(smooth: NDArray, centers: Array, steps: Array, grid: Index) -> bool:
-    """Whether the fields of one color contain markers, by the scatter of their grey levels."""
+def has_markers(smooth: NDArray, centers: Array, grid: Index) -> bool:
+    """Whether the fields of one color contain markers, by the scatter of their grey levels.
+
+    It also scatters on a sheared lattice, whose fields contain edges.
+    """
+    to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
+    steps = to_image.steps(grid)
     inside = CELL[np.abs(CELL).min(axis=1) > 0.15]  # clear of the blurred edges
     levels = grey_levels(smooth, centers[:, None] + inside @ steps.transpose(0, 2, 1))
     color = np.sign(inside.prod(axis=1)) * (-1.0) ** grid.sum(axis=1)[:, None]
