@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -164,7 +164,8 @@ def surface_curvature(
     ------
     ValueError
         If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has another unit
-        than µm in ``attrs["units"]``; if `pixel_size` is not positive, `noise` is negative, or
+        than µm in ``attrs["units"]``; if `pixel_size` differs from the coordinates of a map of
+        xarray, which have a unit; if `pixel_size` is not positive, `noise` is negative, or
         `size` is not an odd whole number of at least 3.
 
     Warns
@@ -191,7 +192,8 @@ def surface_curvature(
     curvature as the whole map.
 
     Examples
-    -------- A ball with a radius of 100 µm, seen from above, with pixels of 1 µm:
+    --------
+    A ball with a radius of 100 µm, seen from above, with pixels of 1 µm:
 
     >>> import numpy as np
     >>> from microlib.curvature import surface_curvature
@@ -209,6 +211,13 @@ def surface_curvature(
     if pitches.shape not in ((), (2,)):
         raise ValueError(f"pixel_size must be a number or (x, y), got shape {pitches.shape}")
     pitch_x, pitch_y = np.broadcast_to(pitches, 2)
+    for axis, pitch in (("x", pitch_x), ("y", pitch_y)):
+        own = _spacing(height, axis)
+        if own is not None and abs(own - pitch) > 1e-3 * pitch:
+            raise ValueError(
+                f"pixel_size must be that of the coordinates of height, {own:g} µm along {axis}, "
+                f"got {pitch:g}"
+            )
     sigma = np.nan if noise is None else scalar("noise", noise, least=0)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
@@ -268,6 +277,15 @@ def surface_curvature(
         mean_error=np.where(blind, np.nan, np.sqrt(mean_variance)),
         gaussian_error=np.where(blind, np.nan, np.sqrt(gaussian_variance)),
     )
+
+
+def _spacing(height: ArrayLike, axis: str) -> float | None:
+    """Return the spacing of an xarray.DataArray's coordinate in µm; None without a known unit."""
+    coordinate: Any = getattr(height, "coords", {}).get(axis)
+    factor = MICROMETERS.get(str(getattr(coordinate, "attrs", {}).get("units")))
+    if factor is None or len(coordinate) < 2:
+        return None
+    return factor * abs(float(coordinate[1] - coordinate[0]))
 
 
 def hk_labels(

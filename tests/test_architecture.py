@@ -165,6 +165,7 @@ def public_objects() -> list[tuple[str, object]]:
 def test_public_names_are_documented(name, value):
     doc = inspect.getdoc(value) or ""
     assert doc, f"{name} has no docstring"
+    assert not re.search(r"^ *--+ +\S", doc, flags=re.M), f"{name}: text behind an underline"
     assert value.__module__.startswith(f"microlib.{name.split('.')[0]}")
     if inspect.isclass(value) and issubclass(value, BaseException):
         return

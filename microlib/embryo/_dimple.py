@@ -224,7 +224,8 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
         is more than a sixth of the depth.
 
     Notes
-    ----- The model is the profile (4.2) between probe and rim, and an arc of a circle beyond the
+    -----
+    The model is the profile (4.2) between probe and rim, and an arc of a circle beyond the
     rim on each side. Position, tilt, radius, depth and two curvatures are fitted by weighted least
     squares of the distances normal to the outline. Outliers beyond four standard deviations are
     removed once, if they are at most a quarter of the points. Points under the probe are not used:

@@ -32,7 +32,8 @@ class SmallSlopeWarning(UserWarning):
         Relative depth w_d/a above which the warning is given, 0.1.
 
     Notes
-    ----- At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain
+    -----
+    At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain
     (4.4) make the modulus 5 % too low for c/a = 0.1, 4 % for 0.2 and 11 % for 0.04. At w_d/a = 0.2
     and c/a = 0.1 the modulus is 20 % too low. `finite_slope_modulus` removes both approximations
     and keeps the uniform stress. `disc_modulus` does not assume a uniform stress.
@@ -95,7 +96,8 @@ def elastic_modulus(
     indentation_force : The inverse, equation (4.7).
 
     Notes
-    ----- By linear elasticity (4.6), the modulus is the stress (4.3) times 1 − ν, divided by the
+    -----
+    By linear elasticity (4.6), the modulus is the stress (4.3) times 1 − ν, divided by the
     strain (4.5). Equation (4.7) is the same relation, solved for the force. The model assumes a
     uniform stress and small slopes. Table 5.6 of the thesis prints c/a = 44.78, which no probe can
     have. The printed modulus follows from c = 25 µm, for which c/a = 0.1012.
@@ -359,7 +361,8 @@ def mean_strain(
         If a length is not positive or `probe_half_width` is not below `dimple_radius`.
 
     Notes
-    ----- A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1,
+    -----
+    A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1,
     of which (4.4) keeps the first term, (tan² θ)/2. Both strains use the profile (4.2). The ratio
     of the exact strain to that of (4.5) is therefore the factor by which the approximation (4.4)
     alone changes the modulus of (5.2). The exact strain is integrated numerically. Its error is

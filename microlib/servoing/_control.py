@@ -323,7 +323,8 @@ class PredictiveController(OptimalController):
         innovation gain is not in [0, 1].
 
     Examples
-    -------- With a delay of one sample, the controller does not repeat a command that has not taken
+    --------
+    With a delay of one sample, the controller does not repeat a command that has not taken
     effect yet:
 
     >>> import numpy as np

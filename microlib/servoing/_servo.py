@@ -145,7 +145,8 @@ def servo(
         its attribute ``run`` is the `ServoRun`.
 
     Notes
-    ----- A calibration is rejected if three standard deviations of J in its worst direction exceed
+    -----
+    A calibration is rejected if three standard deviations of J in its worst direction exceed
     half of its least singular value: a move computed from such a J could remove less than half of
     the error. The run also ends if the motion in the image deviates from the commanded motion by
     more than half of it, three times in a row. The cause may be a wrong Jacobian, a stuck or

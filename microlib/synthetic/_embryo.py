@@ -418,7 +418,8 @@ def embryo_image(
         If an argument is out of range.
 
     Notes
-    ----- The chorion is a dark line of its own thickness around a slightly darker fluid, as in
+    -----
+    The chorion is a dark line of its own thickness around a slightly darker fluid, as in
     transmitted light; each edge is drawn at its exact place and blurred by the point spread
     function and the sensor's square pixels. Only the meridian is drawn. Unlike in a real image, the
     near part of the rim does not cover the dimple.

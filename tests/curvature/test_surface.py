@@ -303,3 +303,18 @@ def test_labeled_map_in_another_unit_raises():
     for unit in ("mm", "s"):
         with pytest.raises(ValueError, match=f"height must be in µm, got {unit}"):
             surface_curvature(height.assign_attrs(units=unit), 1.0)
+
+
+def test_pixel_size_that_differs_from_the_coordinates_of_a_map_raises():
+    xarray = pytest.importorskip("xarray")
+    ball = SURFACES["sphere"][0]
+    sides = {"y": -3.0 - 1.5e-3 * np.arange(ball.shape[0]), "x": 8e-4 * np.arange(ball.shape[1])}
+    height = xarray.DataArray(ball, dims=("y", "x"), coords=sides)
+    surface_curvature(height, 1.0)  # without a unit they may be in pixels or anything
+    for name in "xy":
+        height[name].attrs["units"] = "mm"
+    wanted = surface_curvature(ball, (0.8, 1.5))
+    np.testing.assert_array_equal(surface_curvature(height, (0.8, 1.5)).mean, wanted.mean)
+    for pixel_size, axis in ((1.5, "0.8 µm along x, got 1.5"), (0.8, "1.5 µm along y, got 0.8")):
+        with pytest.raises(ValueError, match=f"pixel_size must be that of .* {axis}"):
+            surface_curvature(height, pixel_size)

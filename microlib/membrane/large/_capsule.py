@@ -106,7 +106,8 @@ def indent_capsule(
     capsule_modulus : The inverse.
 
     Notes
-    ----- The model assumes an axisymmetric wall without bending stiffness, an incompressible fluid
+    -----
+    The model assumes an axisymmetric wall without bending stiffness, an incompressible fluid
     that does not leak, no friction on the plate and a wall bonded to the probe. A force below about
     :math:`\pi c^2 p` does not flatten the wall on the whole face of the probe, and is rejected.
 
