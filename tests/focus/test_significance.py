@@ -143,30 +143,36 @@ def test_asymmetric_peaks_give_depths_within_what_is_stated():
         assert np.sqrt(np.mean(error**2)) < 2 * stated + 0.02  # peak locking of narrow peaks
 
 
-def test_depth_of_a_too_thin_bar_is_uncertain():
-    """Bars of 6 to 14 px, 12 frames above ground of the same texture, four draws."""
-    rng, z = np.random.default_rng(3), 5.0 * np.arange(21)
-    x = np.abs(np.arange(144) - 71.5) * np.ones((144, 1))
+@pytest.mark.parametrize("width", [4, 5, 6, 8, 10])
+def test_wrong_depth_of_a_thin_bar_is_uncertain(width: int) -> None:
+    """Bars in random directions, 5 and 12 frames above ground of the same texture, ten draws.
+
+    At 0.4.0 61 % of the pixels of bars of 4 px were wrong and certain, and 20 % at 8 px.
+    """
+    rng, z, wrong = np.random.default_rng(width), 5.0 * np.arange(21), []
 
     def spread(image, away):
         return cv2.GaussianBlur(image, (0, 0), max(0.12 * abs(away), 0.3))
 
-    for width in (6, 8, 10, 14):
+    y, x = np.mgrid[-71.5:72, -71.5:72]
+    for above in 5 * (25.0, 60.0):
+        turn, near = rng.uniform(0, np.pi), rng.uniform(18, 22)
+        distance = np.abs(x * np.cos(turn) + y * np.sin(turn))
+        mask = np.clip(width / 2 + 0.5 - distance, 0, 1)
         textures = [np.asarray(synthetic.mixed_texture(x.shape, rng), float) for _ in range(2)]
         ground, bar = ((image - image.min()) / np.ptp(image) for image in textures)
-        mask = (x < width / 2).astype(float)
         frames = [
             40
-            + 150 * spread(mask * bar, v - 20)
-            + 150 * (1 - spread(mask, v - 20)) * spread(ground, v - 80)
+            + 150 * spread(mask * bar, v - near)
+            + 150 * (1 - spread(mask, v - near)) * spread(ground, v - near - above)
             for v in z
         ]
         frames = np.clip(np.rint(frames + rng.normal(0, 1, (21, *x.shape))), 0, 255)
         found = depth_from_focus(frames.astype(np.uint8), z)
-        error, stated = (
-            part[8:-8][mask[8:-8] > 0] for part in (found.depth - 20, found.uncertainty)
-        )
-        assert np.mean(np.abs(error) > 3 * stated + 5) < 0.15  # at 0.4.0 up to 0.7
+        here = slice(10, -10), slice(10, -10)
+        error, stated = np.abs(found.depth - near)[here], found.uncertainty[here]
+        wrong.append(np.mean((error > np.maximum(3 * stated, 5))[mask[here] > 0.99]))
+    assert np.mean(wrong) < 0.05
 
 
 def test_black_margins_of_aligned_frames_have_no_depth():

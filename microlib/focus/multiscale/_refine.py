@@ -67,13 +67,25 @@ def refine(
     variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
     constant, periodic = axis.shape_error
     variance += np.float32(constant**2) + np.float32(periodic**2) * left**2
-    # What is too thin for the windows has a peak of its own, by two measures.
-    own = cv2.medianBlur(fill_nearest(fits.depth), 3)
-    strength = np.minimum(relative(fits.strength, typical_strength), 1)
-    gap = strength * np.abs(own - depth)
-    gap[~(gap > settings.jump)] = 0
-    variance += (0.5 * cv2.dilate(gap, np.ones((7, 7), np.uint8))) ** 2
+    variance += thin_object_error(depth, fits, settings, typical_strength) ** 2
     return Refined(depth=depth, relief=relief, error=np.sqrt(variance))
+
+
+def thin_object_error(
+    depth: NDArray, fits: Fits, settings: Settings, typical_strength: float
+) -> NDArray:
+    """Return half the distance of a depth from peaks that the smoothing removed nearby.
+
+    What is a few pixels wide has peaks of its own at a few pixels, whereas noise moves single ones.
+    Bars of 4 px have a wrong depth with a small uncertainty in 3 % of their pixels by this, and in
+    6 % where three of nine pixels must agree or the weight is not three times the strength.
+    """
+    gap = np.abs(fill_nearest(fits.depth) - depth)
+    gap *= np.minimum(3 * relative(fits.strength, typical_strength), 1)
+    apart = (gap > settings.jump).astype(np.float32)
+    alone = cv2.boxFilter(apart, -1, (3, 3), normalize=False) < 2
+    gap[(apart == 0) | alone] = 0
+    return np.asarray(0.5 * cv2.dilate(gap, np.ones((9, 9), np.uint8)))
 
 
 def enlarge(refined: Refined, shape: tuple[int, ...]) -> tuple[NDArray, NDArray[np.bool_]]:
