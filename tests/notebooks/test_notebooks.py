@@ -84,6 +84,15 @@ def test_notebook_follows_layout_rules(path: Path) -> None:
         assert not re.search(r"(?<![\w.])\d+\.\d{3,}", prose), f"{cell.id}: {prose}"
 
 
+def test_no_page_links_a_figure_that_needs_the_microscope_engine() -> None:
+    """Without ``make extras`` the figure is not drawn, and a link to it would stop the book."""
+    cells = code(ROOT / "notebooks" / "08_live_microscope.ipynb")
+    names = [c.metadata["mystnb"]["figure"]["name"] for c in cells if "mystnb" in c.metadata]
+    pages = [*NOTEBOOKS, *(ROOT / "book").glob("*.md")]
+    assert names
+    assert not [p.name for p in pages for n in names if f"(#{n})" in p.read_text("utf-8")]
+
+
 def test_compared_claims_are_recorded_with_their_verdict(claims_folder: Path) -> None:
     records = ledger.read_records(claims_folder)
     for claim in ledger.claims().values():
