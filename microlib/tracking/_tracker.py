@@ -39,7 +39,8 @@ class ESMTracker:
        on the distance from the expected pose and on the uncertainty. A template that was lost is
        searched in the whole frame, or near the prediction of the Kalman filter.
     4. If the template was found in the previous frame, repeat step 3 from distorted poses and from
-       the peaks of the normalized cross-correlation.
+       the peaks of the normalized cross-correlation. A pose of step 3 from which most points of the
+       template move away when they are followed is accepted only if it is the best here, too.
 
     If no attempt is accepted, the template is lost. A similar object in the previous frame lowers
     the probability, so the template may be reported as lost. The motion of a periodic texture by

@@ -322,3 +322,14 @@ def test_kalman_filter_predicts_from_the_second_frame_of_a_film():
     tracker = ESMTracker(frames[0], box, kalman=other)
     assert not any(tracker.track(frame).lost for frame in frames[1:])
     np.testing.assert_allclose(kalman.covariance, other.covariance)  # the count of frames decides
+
+
+def test_gripper_that_moves_by_most_of_its_window_is_found_or_lost():
+    """One jaw resembles the other: a search near the old place finds the wrong one."""
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 3])
+        scene = gripper_scene(rng, pixel_size=6.23)
+        tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(50), "translation")
+        by = np.array([rng.uniform(-10, 10), rng.choice([-1, 1]) * rng.uniform(30, 40)])
+        track = tracker.track(scene.frame(by, rng))
+        assert track.lost or np.abs(track.corners[0] - scene.box(50)[:2] - by).max() < 1

@@ -17,7 +17,7 @@ from microlib.tracking._sampling import View
 from microlib.tracking.robust._confidence import confidence
 from microlib.tracking.robust._covariance import corner_covariance, largest_sigma
 from microlib.tracking.robust._photometric import PhotometricFit
-from microlib.tracking.robust._search import RobustSearch
+from microlib.tracking.robust._search import Finding, RobustSearch
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +129,17 @@ class Scene:
             return None
         return self.search.continue_photometrically(self.view, self.from_flow)
 
+    @cached_property
+    def nearby(self) -> Finding | None:
+        """What the robust search finds from these poses, or from matches of a lost template."""
+        search, view = self.search, self.view
+        matches = [] if self.seen else search.match_poses(view, self.pose)
+        starts = [self.pose, *(match for match in matches if uniqueness(self, match) > 0.5)]
+        # A match is a pixel of the coarsest level, too far off for fine texture to agree.
+        starts = [self.pose, *search.align_starts(view, starts), self.best.pose, *self.flow_poses]
+        fits = [self.photometric_from_pose, self.photometric_from_flow]
+        return search.search(view, self.pose, starts, [fit for fit in fits if fit is not None])
+
 
 def align_from_pose(scene: Scene) -> Found | None:
     """Align from the expected pose."""
@@ -147,20 +158,25 @@ def align_from_flow(scene: Scene) -> Found | None:
 
 
 def search_nearby(scene: Scene) -> Found | None:
-    """Search robustly from these poses; from anywhere in the frame if the template was lost."""
-    matches = [] if scene.seen else scene.search.match_poses(scene.view, scene.pose)
-    starts = [scene.pose, *(match for match in matches if uniqueness(scene, match) > 0.5)]
-    # A match is a pixel of the coarsest level, which is too far off for fine texture to agree.
-    aligned = scene.search.align_starts(scene.view, starts)
-    fits = [scene.photometric_from_pose, scene.photometric_from_flow]
-    return _searched(scene, [scene.pose, *aligned, scene.best.pose, *scene.flow_poses], fits)
+    """Search robustly from these poses; from anywhere in the frame if the template was lost.
+
+    A pose that most points of the template leave may be that of a part that resembles it. It is
+    left to the search far away.
+    """
+    finding = scene.nearby
+    if finding is None or (scene.seen and finding.inlier_ratio <= 1 / 2):
+        return None
+    return _judged(scene, finding)
 
 
 def search_far(scene: Scene) -> Found | None:
     """Search robustly from distorted and distant poses, if the template was not lost before."""
     if not scene.seen:
         return None
-    return _searched(scene, scene.search.far_poses(scene.view, scene.pose), [])
+    known = [] if scene.nearby is None else [scene.nearby.fit]
+    starts = scene.search.far_poses(scene.view, scene.pose)
+    finding = scene.search.search(scene.view, scene.pose, starts, known)
+    return None if finding is None else _judged(scene, finding)
 
 
 #: An attempt returns what it finds with its confidence, or None.
@@ -234,11 +250,9 @@ def _confirmed(scene: Scene, plain: Alignment, fit: PhotometricFit | None) -> Fo
     return None
 
 
-def _searched(scene: Scene, starts: list[Array], fits: list[PhotometricFit | None]) -> Found | None:
-    """Return what the robust search finds, with its confidence."""
-    complete = [fit for fit in fits if fit is not None]
-    finding = scene.search.search(scene.view, scene.pose, starts, complete)
-    if finding is None or finding.fit.reason:
+def _judged(scene: Scene, finding: Finding) -> Found | None:
+    """Return what a robust search finds, with its confidence."""
+    if finding.fit.reason:
         return None
     covariance = scene.search.covariance(finding.fit)
     clear = _is_clear(scene, finding.fit, covariance)
