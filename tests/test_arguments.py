@@ -98,10 +98,9 @@ ACCEPTED = {
     "ragged": ("io.write_ply.image",),  # refused in NumPy's words
 }
 #: What is not checked: a text that is written as it is, a factor of a drawing, a function that is
-#: None by default, and the y of an outline, of which a message speaks together with its x.
+#: None by default.
 FREE = (
-    "io.write_height_tiff.what", "*.GripperScene.frame.gain", "*.progress", "*.observer",
-    "embryo.dimple_from_outline.y",
+    "io.write_height_tiff.what", "*.progress", "*.observer",
 )  # fmt: skip
 
 

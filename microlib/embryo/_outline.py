@@ -24,6 +24,8 @@ from microlib.embryo._probe import MAD_TO_STD
 #: Spans of LOESS whose dimples are compared. The middle one is that of the thesis. A smaller span
 #: follows the corners at the bottom of a dimple and the noise more closely.
 SPANS = (0.15, 0.25, 0.35)
+#: Largest coordinate, px: above any outline, and far from where squares overflow.
+MOST_PIXELS = 1e9
 #: Number of parameters of eight Gaussians.
 _MIN_POINTS = 24
 
@@ -204,7 +206,8 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     a = 60 µm, w_d = 63 µm
     """
     size = scalar("pixel_size", pixel_size, above=0)
-    points = as_array("x", x, shape=(None,)), as_array("y", y, shape=(None,))
+    limits = {"shape": (None,), "least": -MOST_PIXELS, "most": MOST_PIXELS}
+    points = as_array("x", x, **limits), as_array("y", y, **limits)
     same_length(("x", "y"), *points)
     across, up, y_down = _part_with_dimple(*points)
     smooth = [loess(across, up, span=span) for span in SPANS]
@@ -256,7 +259,7 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
     others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
     rough = np.median(np.abs(up - loess(across, up, span=SPANS[1])))
     other = max(*others, 2 * MAD_TO_STD * float(rough))
-    if dip.depth < 2 * other:
+    if dip.depth <= 2 * other:
         raise ValueError(
             f"outline must show one dimple, got one of {dip.depth:.2g} px beside others of "
             f"{other:.2g} px; a closed outline must have its points in order along the outline"

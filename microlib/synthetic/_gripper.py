@@ -79,7 +79,7 @@ class GripperScene(Result):
         size = self.shape[::-1]
         drawing = cv2.warpAffine(self.drawing, sampling, size, flags=flags)
         cover = cv2.warpAffine(self.cover, sampling, size, flags=flags)
-        scene = gain * (drawing + (1.0 - cover) * self.ground)
+        scene = scalar("gain", gain, above=0) * (drawing + (1.0 - cover) * self.ground)
         sigma = scalar("noise", noise, least=0)
         noisy = scene + sigma * generator("rng", rng).standard_normal(self.shape, np.float32)
         return eight_bits(noisy)

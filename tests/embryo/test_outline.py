@@ -206,3 +206,12 @@ def test_read_outline_error_contains_line(text: str | bytes, message: str, tmp_p
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=rf"points\.csv must (have|be) {message}"):
         read_outline(file)
+
+
+@pytest.mark.parametrize(
+    ("height", "message"), [(0.0, "must show one dimple"), (1e200, "y must be at most 1e")]
+)
+def test_flat_or_huge_outline_is_rejected_without_warning(height, message):
+    bump = height * np.exp(-(((np.arange(60.0) - 30) / 9) ** 2))
+    with pytest.raises(ValueError, match=message):
+        dimple_from_outline(np.arange(60.0), bump, pixel_size=3.9)

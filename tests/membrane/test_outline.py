@@ -120,3 +120,8 @@ def test_newey_west_variance_matches_scatter_of_fits(points, width):
             # 400 draws know a deviation to 4 %. Weights that fall over 20 points leave out up to a
             # tenth of it; taken for independent, it would be 0.4.
             assert 0.8 < np.sqrt(stated.mean()) / fits[:, 0].std() < 1.05
+
+
+def test_fit_tilt_that_is_no_truth_value_is_refused() -> None:
+    with pytest.raises(ValueError, match="fit_tilt must be True or False, got 'text'"):
+        fit_capsule(FORCE, np.outer(np.arange(30.0), [10, 1]), **NEAR, fit_tilt="text")

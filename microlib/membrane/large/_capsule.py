@@ -184,15 +184,21 @@ def solve_indentation(
     if near and near[1].x.size <= 400:
         problem, guess = wanted.continue_from(*near)
         solved = problem.solve_from(guess, problem.tolerance)
-    problem, solution = solved or wanted.solve()
-    u = problem.unpack(solution.p)
-    if u.rim <= problem.probe:  # the rim of a dimple lies outside the probe
-        least = np.pi * problem.probe**2 * u.pressure * unit
+    try:
+        problem, solution = solved or wanted.solve()
+        u = problem.unpack(solution.p)
+        if u.rim <= problem.probe:  # the rim of a dimple lies outside the probe
+            least = np.pi * problem.probe**2 * u.pressure * unit
+            raise ValueError(
+                "the wall would not be flat on the whole face of the probe, which takes about "
+                f"{least:.3g} µN"
+            )
+        state = _state(problem, solution, stiffness, shell)
+    except ValueError as reason:
         raise ValueError(
-            "force must flatten the wall on the whole face of the probe, which takes about "
-            f"{least:.3g} µN, got {load:.3g} µN"
-        )
-    return _state(problem, solution, stiffness, shell), (problem, solution)
+            f"force must be one that the capsule holds, got {load:g} µN: {reason}"
+        ) from None
+    return state, (problem, solution)
 
 
 def capsule_modulus(
@@ -285,14 +291,13 @@ def _state(problem: CapsuleProblem, solution: Any, modulus: float, shell: Shell)
     dimple = zones.dimple
     clear = dimple.horizontal[-1] < 0 and dimple.r.min() >= (1 - 1e-9) * problem.probe
     ordered = 0 < u.middle_arc < u.contact_arc < np.pi / 2 < u.crest_arc <= problem.probe_arc
-    for possible, requirement in (
-        (dimple.z.min() > 0, "keep the probe above the plate"),
-        (clear, "leave the wall clear of the probe's side"),
-        (ordered, "leave a wall between the contact on the plate and the dimple"),
+    for possible, fault in (
+        (dimple.z.min() > 0, "the probe would reach the plate"),
+        (clear, "the wall would touch the probe's side"),
+        (ordered, "the dimple would reach the contact on the plate"),
     ):
         if not possible:
-            force = u.force * modulus * shell.thickness * shell.radius
-            raise ValueError(f"force must {requirement}, got {force:.4g} µN")
+            raise ValueError(fault)
     # The middle of the plate belongs to no zone.
     rho = np.sin(u.middle_arc) / u.inflation
     stretch, stress = problem.middle.pole(zones.contact.r[0], rho, problem.law)

@@ -125,7 +125,7 @@ class _Disc(BoundaryValueProblem):
         """Return the solution, or raise if H is negative somewhere, where the disc folds."""
         _, solution = self.solve()
         if (solution.y[1] <= 0).any():
-            raise ValueError("force must leave the membrane unfolded, got one that folds it")
+            raise ValueError("the membrane folds")
         return solution
 
 
@@ -236,7 +236,12 @@ def indent_disc(
     material = constitutive_law(law, poisson_ratio)
     free = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
     disc = free.of_modulus(stiffness)
-    [meridian] = disc.meridian(disc.solve_unfolded())
+    try:
+        [meridian] = disc.meridian(disc.solve_unfolded())
+    except ValueError as reason:
+        raise ValueError(
+            f"force must be one that a disc holds, got {load:g} µN: {reason}"
+        ) from None
     depth = -meridian[1, 0]
     sizes = {"depth": depth, "approach": depth, "rim_radius": 1.0, "pressure": disc.pressure}
     return dimensional_state(meridian, stiffness, h, a, **sizes)

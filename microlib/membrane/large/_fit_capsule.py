@@ -145,6 +145,8 @@ def fit_capsule(
         raise ValueError(f"outline must have at least 20 points, got {len(points)}")
     if (width := np.ptp(points[:, 0])) <= c:
         raise ValueError(f"outline must be wider than half the probe, {c:g} µm, got {width:g} µm")
+    if not isinstance(fit_tilt, (bool, np.bool_)):
+        raise ValueError(f"fit_tilt must be True or False, got {fit_tilt!r:.80}")
     given_radius = None if radius is None else scalar("radius", radius, above=0)
     given_start = None if start is None else as_array("start", start, shape=(2,))
     sizes: dict[str, Any] = {"thickness": thickness, "probe_half_width": c}

@@ -127,7 +127,7 @@ class BoundaryValueProblem(ABC):
                 if found is None:
                     break
         if found is None:
-            raise ValueError("force must let the solver converge: try another one or inflation")
+            raise ValueError("the solver does not converge")
         return found
 
     def meridian_stretch(self, segment: Segment) -> tuple[Array, Array]:
