@@ -19,7 +19,6 @@ from microlib.focus._peaks import three_point_peak, track_peaks
 from microlib.focus._registration import Registration
 from microlib.focus._registration import register as find_registration
 from microlib.focus._result import DepthMap, FocusResult, build_result
-from microlib.focus._significance import peak_significance
 from microlib.focus._stack import (
     Progress,
     Stack,
@@ -28,7 +27,6 @@ from microlib.focus._stack import (
     warn_of_changes,
     without_bad_frames,
 )
-from microlib.focus._symmetry import find_symmetry, shape_error
 from microlib.io import read_frames
 
 
@@ -239,7 +237,7 @@ def three_point_depth(
     """Return the depth at the three-point peaks of one measure, (3.13)."""
     peaks = track_peaks(frames, measure, done)
     depth = three_point_peak(peaks.window, peaks.best, positions)
-    significance = peak_significance(peaks.profiles, peaks.window[1], 3)
+    significance = multiscale.peak_significance(peaks.profiles, peaks.window[1], 3)
     depth[significance.insignificant] = np.nan
     spacing = float(np.median(np.abs(np.diff(positions))))
     rough = _roughness(depth, positions, peaks.best)
@@ -258,12 +256,12 @@ def _shape_error(profiles: NDArray, positions: Array, spacing: float) -> float:
     """Return the bias of three-point peaks by the shape of the profiles, µm."""
     some = max(round(np.sqrt(profiles[0].size / 2000)), 1)
     profiles = profiles[:, ::some, ::some]
-    _, centers = find_symmetry(profiles, positions, spacing)
+    _, centers = multiscale.find_symmetry(profiles, positions, spacing)
     best = np.clip(profiles.argmax(axis=0), 1, len(profiles) - 2)
     around = best + np.arange(-1, 2)[:, None, None]
     peaks = three_point_peak(np.take_along_axis(profiles, around, axis=0), best, positions)
     way = np.sign(positions[-1] - positions[0])
-    return float(np.hypot(*shape_error(way * peaks, way * centers, way * positions)))
+    return float(np.hypot(*multiscale.shape_error(way * peaks, way * centers, way * positions)))
 
 
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:

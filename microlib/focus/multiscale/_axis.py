@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._filters import TINY, blur
-from microlib.focus._symmetry import Symmetry
 from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gain
+from microlib.focus.multiscale._symmetry import Symmetry
 
 #: Tiles along each side of the image from which a stack's properties are estimated, their side,
 #: and the border of each that its neighbor influences, px.

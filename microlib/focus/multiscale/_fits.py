@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.focus._filters import halved
-from microlib.focus._symmetry import find_symmetry, shape_error
 from microlib.focus.multiscale._axis import Axis, every_other_tile, find_axis
 from microlib.focus.multiscale._fit import PeakTracker, fit_peaks
 from microlib.focus.multiscale._measure import NoiseFloor, measure
 from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._symmetry import find_symmetry, shape_error
 
 #: Rows that are read on either side of a strip, the reach of the measures' windows. Rows of a
 #: strip, of which fewer are taken of more frames, so that its measures stay below 64 MB.

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib.focus._filters import TINY, blur
-from microlib.focus._significance import peak_significance
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._measure import NoiseFloor, doubled
 from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._significance import peak_significance
 
 _NAN = np.float32(np.nan)
 
