@@ -25,7 +25,6 @@ from compendium.experiments.section_5_3 import texture_sequence
 from microlib import io, membrane, tracking
 from microlib.__main__ import main
 from microlib._command._calibrate import _advise
-from microlib._command._shared import _quantity, resolve_scales
 from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_from_outline
 from microlib.focus import FocusResult, depth_from_focus
@@ -500,7 +499,7 @@ def test_disagreeing_rims_give_a_note(tmp_path, capsys):
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
-        ("calibrate circles.png --cell -9 --pitch 280", "--cell must be positive"),
+        ("calibrate circles.png --cell=-1,25 --pitch 280", "--cell must be positive, got -1.25"),
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
@@ -534,27 +533,34 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 @pytest.mark.parametrize(
-    ("name", "value"), [("force", 1e-5), ("pixel_size", 50800.0), ("pixel_size", 0.006)]
-)
-def test_unusual_scale_gives_a_note(name, value):
-    notes: list[str] = []
-    a = Namespace(**{name: value}, spacing=-25.0, say=lambda *_: None, note=notes.append)
-    assert resolve_scales(a, "spacing", name) == {"spacing": -25.0, name: value}
-    assert notes[0].startswith(f"--{name.replace('_', '-')} {value:g} is unusual")
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "number"),
+    ("line", "given"),
     [
-        ("10", "µN", 10.0), ("10uN", "µN", 10.0), ("1e4 nN", "µN", 10.0), ("10e-6N", "µN", 10.0),
-        ("0,01mm/px", "µm/px", 10.0), ("12cm", "µm", 120000.0),
-        ("0,25", "µm", 0.25), ("12,5mm", "µm", 12500.0), ("0,125", "µm", 0.125),
-        ("-1,25", "µm", -1.25), ("1.500", "µm", 1.5),
+        (OUTLINE.replace("--force-std 3", "--force-std 0"), "--force 1e-05"),
+        (f"track frames.tif {BOX}", "--pixel-size 50800"),
+        (f"track frames.tif {BOX}", "--pixel-size 0.006"),
+    ],
+)
+def test_unusual_scale_gives_a_note(line, given, tmp_path, capsys):
+    assert status(f"{line} {given}", tmp_path / "out.csv") == 0
+    assert f"note: {given} is unusual under a microscope" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "number"),
+    [
+        ("--force=10", 10), ("--force=10uN", 10), ("--force=1e4 nN", 10), ("--force=10e-6N", 10),
+        ("--pixel-size=0,01mm/px", 10), ("--thickness=12cm", 120000), ("--thickness=0,25", 0.25),
+        ("--thickness=12,5mm", 12500), ("--thickness=0,125", 0.125), ("--thickness=1.500", 1.5),
     ],
 )  # fmt: skip
-def test_number_can_have_a_unit_and_a_comma(text, unit, number):
-    assert _quantity(unit)(text) == pytest.approx(number)
+def test_number_can_have_a_unit_and_a_comma(given, number, tmp_path, capsys):
+    """Scales are printed one by one, before that of the probe is rejected."""
+    line = [*OUTLINE.split()[2:], given, "--probe-half-width=0", "-o", str(tmp_path / "out.csv")]
+    assert main(["modulus", str(INPUTS / "outline.csv"), *line]) == 2
+    name = given[2:].split("=")[0].replace("-", "_")
+    assert f"{name} {number:g} µ" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
