@@ -15,7 +15,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import ROOT
-from microlib._common import Tidy
+from microlib._common import Tidy, find_scales
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
@@ -124,21 +124,16 @@ def resolve_scales(
     Traceback (most recent call last):
     ValueError: spacing must be given for mine.tif, which does not contain it: -p spacing VALUE
     """
-    entry, from_file = _entry(Path(path)) or {}, from_file or {}
-    values, sources = {}, {}
-    for name, value in given.items():
-        if value is not None:
-            values[name], sources[name] = value, "given"
-        elif name in entry.get("settings", {}):
-            values[name], sources[name] = entry["settings"][name], "the demo"
-        elif from_file.get(name) is not None:
-            values[name], sources[name] = from_file[name], "the file"
-    if missing := [name for name in given if name not in values]:
+    demo = (_entry(Path(path)) or {}).get("settings", {})
+    found = find_scales(given, {"the demo": demo, "the file": from_file or {}})
+    if missing := [name for name in given if name not in found]:
         need = " ".join(f"-p {name} VALUE" for name in missing)
         raise ValueError(
             f"{', '.join(missing)} must be given for {path}, which does not contain "
             f"{'it' if len(missing) == 1 else 'them'}: {need}"
         )
+    values = {name: value for name, (value, _) in found.items()}
+    sources = {name: source for name, (_, source) in found.items()}
     table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
     return values, table
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from microlib._common import MEASURED, SOFTWARE, scalar
+from microlib._common import MEASURED, SOFTWARE, find_scales, scalar
 
 #: Writes a file; a task yields one for each name of its files.
 Writer = Callable[[Path], object]
@@ -74,21 +74,21 @@ def resolve_scales(
 ) -> dict[str, float]:
     """Return and print each scale, as given or from the file; raise if a scale is missing."""
     given = {name: getattr(a, name) for name in names}
-    values: dict[str, Any] = given | {n: from_file.get(n) for n in names if given[n] is None}
-    missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if values[name] is None]
+    found = find_scales(given, {"the file": from_file})
+    missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if name not in found]
     if missing:
         raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
-    for name, value in values.items():
+    for name, (value, source) in found.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
-        a.say(f"{name} {value:g} {unit} ({'the file' if given[name] is None else 'given'})")
+        a.say(f"{name} {value:g} {unit} ({source})")
         low, high = MEASURED.get(unit, (0, 1))
         if not low <= abs(value) <= high:
             a.note(
                 f"{option(name)} {value:g} is unusual under a microscope, expected {low:g} to "
                 f"{high:g} {unit}; a number can have a unit, as 0.2mm"
             )
-    return values
+    return {name: value for name, (value, _) in found.items()}
 
 
 def add_axes(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ from microlib._common._checks import (
     as_image,
     as_map,
     as_region,
+    find_scales,
     generator,
     image_shape,
     items,

@@ -6,9 +6,10 @@ requirement and the value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from operator import ge, gt, le, lt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -245,3 +246,18 @@ def same_length(names: tuple[str, ...], first: NDArray, second: NDArray) -> None
     if len(first) != len(second):
         problem = f"and {names[1]} must have the same length, got {len(first)} and {len(second)}"
         raise ArgumentError(names[0], problem)
+
+
+def find_scales(
+    given: Mapping[str, Any], sources: Mapping[str, Mapping[str, Any]]
+) -> dict[str, tuple[Any, str]]:
+    """Return each scale and where it is from: given, or the first of `sources` that has it.
+
+    A scale that is None everywhere is left out.
+    """
+    found: dict[str, tuple[Any, str]] = {}
+    for name in given:
+        for source, values in {"given": given, **sources}.items():
+            if name not in found and values.get(name) is not None:
+                found[name] = values[name], source
+    return found
