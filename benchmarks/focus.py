@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from skimage import data
 
+from benchmarks.focus_depth import drawn, render, tilted
 from benchmarks.photographs import grey_levels, middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
@@ -237,7 +238,7 @@ def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
         grey = np.pad(grey, [(0, max(side - n, 0)) for n in grey.shape], mode="symmetric")
         texture = middle(grey, side)
         for surface, depth in surfaces.items():
-            yield name, surface, depth, _render(texture, depth)
+            yield name, surface, depth, rendered(texture, depth)
     # A stereo pair, whose disparity is the depth of what the photograph shows.
     left_view, _, disparity = data.stereo_motorcycle()
     window = np.s_[100:484, 150:534]
@@ -246,10 +247,11 @@ def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
     nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
     disparity = disparity[tuple(nearest)]
     depth = 3 + 14 * (disparity - disparity.min()) / np.ptp(disparity)
-    yield "stereo_motorcycle", "its own", depth, _render(grey_levels(left_view)[window], depth)
+    yield "stereo_motorcycle", "its own", depth, rendered(grey_levels(left_view)[window], depth)
 
 
-def _render(texture: NDArray, depth: NDArray) -> NDArray:
+def rendered(texture: NDArray, depth: NDArray) -> NDArray:
+    """Return the frames of a texture on a surface, with noise of 2 grey levels."""
     rng = np.random.default_rng(0)
     return synthetic.focal_stack(texture, depth, POSITIONS, blur_rate=1.0, noise=2.0, rng=rng)
 
@@ -297,8 +299,12 @@ def _compared(found: NDArray, full: NDArray) -> dict[str, str]:
 
 def steps() -> pd.DataFrame:
     """Return what happens to the default depth without each of its rules and some other steps."""
+    dense = render(drawn(0), tilted(), 0, noise=3.0, factor=4)  # truth in its frames
     cases = {
-        "scenes": [*((truth, stack) for _, truth, stack in scenes(0)), dense()],
+        "scenes": [
+            *((truth, stack) for _, truth, stack in scenes(0)),
+            (4 * dense.depth, dense.stack),
+        ],
         "photographs": [
             (truth, stack) for name, _, truth, stack in photographed() if name in STEP_PHOTOGRAPHS
         ],
@@ -323,13 +329,6 @@ def steps() -> pd.DataFrame:
             row |= {f"{kind}: {k}": v for k, v in _compared(found, full[kind]).items()}
         rows.append(row | {"time": round(float(np.mean(spent)), 2)})
     return pd.DataFrame(rows)
-
-
-def dense() -> tuple[NDArray, NDArray]:
-    """Return a slope, in frames, and its stack of four times the frames."""
-    depth = 4 * (POSITIONS.mean() + tilted_plane((256, 256), 12 / 256, 0.0))
-    texture, z = synthetic.mixed_texture(depth.shape, 0), np.arange(81.0)
-    return depth, synthetic.focal_stack(texture, depth, z, blur_rate=0.25, noise=3.0, rng=0)
 
 
 def settings() -> pd.DataFrame:

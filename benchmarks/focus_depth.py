@@ -138,7 +138,7 @@ def error_of(scene: Scene) -> NDArray:
 
 
 def scale() -> pd.DataFrame:
-    """Return errors with 1, 4 and 20 times the frames, and with the last averaged in twenties."""
+    """Return errors with 1, 4 and 20 times the frames."""
     rows = []
     for seed in SEEDS:
         texture, row = drawn(seed), {"seed": seed}
@@ -146,11 +146,6 @@ def scale() -> pd.DataFrame:
             scene = render(texture, tilted(), seed, noise=3.0, factor=factor)
             error = error_of(scene)
             row |= {f"{factor}×": round(rms(error), 4), f"NaN {factor}×": np.isnan(error).mean()}
-        # The last scene, in groups of twenty.
-        groups = np.arange(400).reshape(-1, 20)
-        means = np.stack([scene.stack[k].mean(axis=0, dtype=np.float32) for k in groups])
-        averaged = Scene(scene.positions[groups].mean(axis=1), scene.depth, means)
-        row["20× in twenties"] = round(rms(error_of(averaged)), 4)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -319,12 +314,6 @@ def limits(tables: Tables) -> Limits:
             more.filter(like="NaN").to_numpy().max(),
             "≤",
             0.01,
-        ),
-        (
-            "20× the frames: error over the error after averaging each 20 frames, largest",
-            (more["20×"] / more["20× in twenties"]).max(),
-            "≤",
-            0.9,
         ),
         ("relief 8 px: error over the best SML's", fine.loc[(8, 1.0), "ratio"], "≤", 1.0),
     ]

@@ -16,14 +16,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.focus import POSITIONS, rendered
 from benchmarks.report import Limits, Tables, paired_times
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.scenes import straight_step, tilted_plane
 
 #: Frames and their side, px.
-COUNT, SIDE = 21, 1024
-POSITIONS = np.arange(float(COUNT))
+COUNT, SIDE = len(POSITIONS), 1024
 ROUNDS, PASSES = 3, 50
 
 TIME = "CPU time of one thread, 21 frames of 1024×1024, passes of cv2.boxFilter 5×5"
@@ -39,18 +39,10 @@ def scenes() -> dict[str, NDArray]:
     slope = 10 + tilted_plane(shape, 12 / SIDE, 0.0)
     step = 5.7 + straight_step(shape, 7.7)
     bare = np.sin(x / 60) * np.sin(y / 50) > 0.55
-    found = {}
-    for name, depth, hole in (
-        ("slope", slope, False),
-        ("step", step, False),
-        ("step, holes", step, True),
-    ):
-        rng = np.random.default_rng(0)
-        texture = synthetic.mixed_texture(shape, rng)
-        texture = np.where(hole & bare, texture.mean(), texture)
-        found[name] = synthetic.focal_stack(
-            texture, depth, POSITIONS, blur_rate=1.0, noise=2.0, rng=rng
-        )
+    found, texture = {}, synthetic.mixed_texture(shape, 0)
+    cases = (("slope", slope, False), ("step", step, False), ("step, holes", step, True))
+    for name, depth, hole in cases:
+        found[name] = rendered(np.where(hole & bare, texture.mean(), texture), depth)
     return found
 
 
