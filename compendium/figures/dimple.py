@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
@@ -53,27 +51,6 @@ def draw_dimple_section(radius: float, depth: float, half_width: float) -> Figur
     axes.text(a + 6, -bend + 30, "R", fontsize=14)
     axes.set(xlabel="distance from the axis r (µm)", ylabel="height (µm)")
     axes.set(ylim=(-175, 80), aspect="equal")
-    return figure
-
-
-def draw_printed_outline(curve: GaussianSum) -> Figure:
-    """Draw figures 5.18 and 5.19: the curve of Table 5.5, its extrema, and a and w_d between."""
-    pixel = thesis.EMBRYO_PIXEL
-    maxima, _ = curve.extrema()
-    (x1, y1), (x2, y2) = pixel * np.array(_rim_and_bottom(curve))
-    right = maxima[pixel * maxima > x2]
-    x = np.linspace(*curve.domain, 800)
-    figure, axes = plt.subplots(figsize=(6.4, 3.8))
-    axes.plot(pixel * x, pixel * curve(x), color=COLORS["blue"], label="curve (5.1)")
-    axes.plot(x1, y1, "o", color=COLORS["orange"], ms=9, label="rim")
-    axes.plot(x2, y2, "s", color=COLORS["green"], ms=9, label="bottom")
-    look: dict[str, Any] = {"color": COLORS["pink"], "ms": 8, "label": "maxima of the right rim"}
-    axes.plot(pixel * right, pixel * curve(right), "^", **look)
-    length(axes, (x1, y1 + 25), (x2, y1 + 25), "a", (0, 30))
-    length(axes, (x2, y1), (x2, y2), "$w_d$", (34, 38))
-    axes.set(xlabel="x (µm)", ylabel="y, up (µm)", aspect="equal")
-    axes.set(xlim=pixel * (x[[0, -1]] + [-3, 3]), ylim=(None, y1 + 90))
-    legend_below(figure, ncols=2)
     return figure
 
 
