@@ -168,6 +168,19 @@ def test_localization_error_is_below_limits_and_equals_sigma(
         assert rms / np.sqrt((found.sigma**2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
+def test_table_of_detection_has_its_columns_in_order():
+    found = detect_circles(render_circles(SMALL, counts=(6, 4)))
+    table = found.to_frame()
+    for name, array in (
+        ("grid", found.grid),
+        ("positions", found.positions),
+        ("points", found.points),
+    ):
+        columns = table.filter(like=f"{name}_")
+        assert [c[-1] for c in columns] == (["i", "j"] if name == "grid" else ["x", "y"])
+        np.testing.assert_array_equal(columns, array)
+
+
 def test_bias_of_circles_under_perspective_is_removed():
     scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
     image = render_circles(scope, radius=60, pitch=200, counts=(8, 6))

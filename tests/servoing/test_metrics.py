@@ -13,6 +13,10 @@ def test_first_order_response_settles_at_the_time_of_its_exponential():
     found = step_metrics(time, position, [3.0], band=0.02)
     assert found.settling_time == pytest.approx(1.7 * np.log(50), abs=1e-3)  # one sample
     assert found.accuracy == pytest.approx(0.02 * 3.0, rel=1e-3)
+    # ∫ e^(−2s) and ∫ e^(−s) over what is left of the response, from where it settled.
+    end = 50 * np.exp(-10 / 1.7)
+    rest = 0.06 * 1.7 / (10 - found.settling_time) * np.array([1 - end, 0.03 * (1 - end**2)])
+    assert found.precision == pytest.approx(np.sqrt(rest[1] - rest[0] ** 2), rel=1e-2)
     assert found.overshoot == 0.0
 
 
