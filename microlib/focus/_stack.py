@@ -142,10 +142,13 @@ def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
     """Return the pixels in the black margin of some frame, as programs that align frames leave."""
     margin = np.zeros(frames[0].shape, bool)
     for frame, turn in product(frames, range(4)):
-        turned = np.rot90(frame, turn)
-        if not turned[0].any() and turned.any():
-            first = int(np.argmax(turned.any(axis=1)))
-            if np.count_nonzero(turned[first]) > turned.shape[1] / 2:  # no object on black ground
+        turned, dark = np.rot90(frame, turn), 0.03 * cv2.mean(frame)[0]
+        if turned[0].mean() <= dark:  # JPEG leaves 2 grey levels beside an edge
+            lines = turned.mean(axis=1) > dark
+            first = int(np.argmax(lines))
+            inside = turned[min(first + 1, len(turned) - 1)] > 3 * dark
+            # An object on dark ground seldom has a sharp edge along half of a side.
+            if lines.any() and np.count_nonzero(inside) > len(inside) / 2:
                 np.rot90(margin, turn)[: first + _WINDOW] = True
     return margin
 

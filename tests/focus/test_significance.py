@@ -175,13 +175,17 @@ def test_wrong_depth_of_a_thin_bar_is_uncertain(width: int) -> None:
     assert np.mean(wrong) < 0.05
 
 
-def test_black_margins_of_aligned_frames_have_no_depth():
+@pytest.mark.parametrize("quality", [None, 60, 90])
+def test_black_margins_of_aligned_frames_have_no_depth(quality: int | None) -> None:
     texture = synthetic.mixed_texture((96, 120), np.random.default_rng(0))
     height = tilted_plane(texture.shape, 0.0, 0.7) + 40
     stack = synthetic.focal_stack(texture, height, 10.0 * np.arange(9), blur_rate=0.1)
     for k, frame in enumerate(stack):
         frame[:, : max(2 * (k - 4), 0)] = 0
         frame[96 - max(3 * (4 - k), 0) :] = 0
+        if quality:
+            code = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            frame[:] = cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)
     with pytest.warns(UserWarning, match="black margins"):
         found = depth_from_focus(stack, spacing=10.0)
     assert np.isnan(found.depth[:, :8]).all()
@@ -190,6 +194,20 @@ def test_black_margins_of_aligned_frames_have_no_depth():
     assert off.mean() < 0.02
     inner = found.depth[10:-24, 20:-10]
     assert np.isfinite(inner).mean() > 0.98
+
+
+def test_object_on_dark_ground_has_no_margin() -> None:
+    rng, z = np.random.default_rng(6), 10.0 * np.arange(9)
+    texture = np.asarray(synthetic.mixed_texture((112, 128), rng), float)
+    y, x = np.mgrid[:112, :128]
+    texture *= np.hypot(x - 64, y - 56) < 40
+    stack = synthetic.focal_stack(
+        texture, np.full(y.shape, 41.0), z, blur_rate=0.1, noise=1.0, rng=rng
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = depth_from_focus(stack, z)
+    assert np.isfinite(found.depth[np.hypot(x - 64, y - 56) < 30]).mean() > 0.98
 
 
 @pytest.mark.parametrize("measure", ["multiscale", "sml"])
