@@ -93,7 +93,11 @@ def test_compendium_and_benchmarks_import_public_names_only(path):
 
 
 #: Packages with what goes beyond the thesis' own method, and the file of the core that uses each.
-EXTENSIONS = {"focus": ("multiscale", "_depth.py"), "membrane": ("large", "__init__.py")}
+EXTENSIONS = {
+    "calibration": ("adequacy", "_calibrate.py"),
+    "focus": ("multiscale", "_depth.py"),
+    "membrane": ("large", "__init__.py"),
+}
 
 
 @pytest.mark.parametrize("room", EXTENSIONS)

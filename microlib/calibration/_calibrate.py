@@ -18,15 +18,16 @@ from microlib._common import Array, positive, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._stage import plane_points
-from microlib.calibration._uncertainty import FARTHEST, covariance
+from microlib.calibration._uncertainty import KILOMETER, noise_covariance
 from microlib.calibration._views import (
     POSE,
     Fit,
     Views,
     fit_views,
-    held_out_errors,
     without_optional,
 )
+from microlib.calibration.adequacy._held_out import held_out_errors
+from microlib.calibration.adequacy._lack_of_fit import check_fit
 from microlib.microscope import Microscope
 
 
@@ -84,7 +85,7 @@ def calibrate(
 
     *Several views* share T_op + f and the distortion. Each view has its own magnification and pose.
     From the second view on, the names of these parameters end in the number of the view. The focal
-    length f is that of the first view. A second distortion coefficient κ₂ ("distortion_2", 1/µm⁴)
+    length f is that of the first view. A second distortion coefficient κ₂ ("distortion_k2", 1/µm⁴)
     and the principal point ("principal_x" and "principal_y", px from the middle of the image) are
     estimated if they lower the Bayesian information criterion. Let u be the image point of the
     model with κ alone, in µm from the principal point. With κ₂ the image point is u (1 + κ₂ r⁴),
@@ -186,11 +187,12 @@ def _build_result(
     views: Views, fit: Fit, alone: list[list[Fit]], marks: NDArray[np.intp] | None
 ) -> Calibration:
     """Estimates with their covariance, the undetermined ones, and a microscope for each view."""
-    inner, test = covariance(views, fit, marks)
+    test = check_fit(views, fit, marks)
+    inner = noise_covariance(views, fit, marks) + test.covariance
     undetermined = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.residual_variance(fit))
     names, lens, estimate = np.array(fit.names), fit.lens.copy(), fit.estimate
     if "focal_length" in names[undetermined]:  # an infinite one is reported as a kilometer
-        lens[0] = max(lens[0], 1 / (FARTHEST * (1 + fit.poses[0, 0])))
+        lens[0] = max(lens[0], 1 / (KILOMETER * (1 + fit.poses[0, 0])))
     scopes = [_microscope(views, lens, pose) for pose in fit.poses]
     by_fitted = np.eye(len(estimate))
     if "focal_length" in names:  # f = 1/((1 + M) p) replaces the fitted p = 1/(T_op + f)

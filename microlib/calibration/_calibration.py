@@ -333,6 +333,9 @@ class Calibration(Tidy):
         try:
             own = json.loads(text)["calibration"]
             own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
+            # Release 0.4.0 named the second coefficient like a parameter of the second view.
+            names = ["distortion_k2" if n == "distortion_2" else n for n in own["parameters"]]
+            own["parameters"] = names
             own["views"] = [Microscope(**view) for view in own["views"]]
             own |= {n: tuple(v) for n, v in own.items() if isinstance(v, list)}
             return cls(microscope=own["views"][0], **own)
@@ -354,7 +357,7 @@ class Calibration(Tidy):
         corner = float(np.linalg.norm(scope.cell * scope.image_size)) / 2
         radius = np.linspace(0, corner)[1:]
         seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
-        stretch = seen / radius * (1 + self._value("distortion_2") * seen**4) - 1
+        stretch = seen / radius * (1 + self._value("distortion_k2") * seen**4) - 1
         reached = np.isfinite(stretch)
         radius, wanted = radius[reached, None], (stretch * radius)[reached]
         powers = 2 * np.arange(1, 4)

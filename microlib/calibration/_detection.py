@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: Fewest marks of a detection: a homography needs four points.
-FEWEST = 4
+MIN_MARKS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from microlib._common import Array, Tidy, as_array, same_length
-from microlib.calibration._uncertainty import FARTHEST, reciprocal_interval, student_quantile
+from microlib.calibration._uncertainty import KILOMETER, reciprocal_interval, student_quantile
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +60,7 @@ def plane_points(least: int, **named: ArrayLike) -> list[Array]:
             raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
         triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
         extent = np.linalg.svd(triangle, compute_uv=False)
-        if not extent[-1] > max(1e-6 * extent[0], 1 / FARTHEST):
+        if not extent[-1] > max(1e-6 * extent[0], 1 / KILOMETER):
             raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
     return pairs
 

@@ -23,7 +23,7 @@ from microlib.microscope import Microscope, euler_rotation
 #: Parameters of the lens: 1/(T_op + f) in 1/µm, κ in 1/µm², the second distortion coefficient κ₂ in
 #: 1/µm⁴, and the principal point from the middle of the image, px. The first one is reported as the
 #: focal length of the first view.
-LENS = ("focal_length", "distortion", "distortion_2", "principal_x", "principal_y")
+LENS = ("focal_length", "distortion", "distortion_k2", "principal_x", "principal_y")
 #: Parameters of a view: M, α, β, γ in rad, and T_x, T_y in µm.
 POSE = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
 #: Indices in `LENS` of the parameters that are added together if several views determine them.
@@ -32,8 +32,8 @@ _OPTIONAL = ([3, 4], [2])
 #: sums up to 1e-15. No decision depends on a smaller difference.
 _ROUNDING = 1e-13
 #: Singular values below this part of the largest are rounding errors: the points then do not
-#: determine a pose, or their depths do not determine the convergence.
-_DEGENERATE = 1e-9
+#: determine a pose, or their depths do not determine 1/T_z.
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +92,14 @@ class Views:
     def _project(self, lens: Array, pose: Array, world: Array) -> tuple[Array, Array]:
         """Image points of one view, and their derivatives by `LENS` and `POSE`, (N, 2, 5 + 6)."""
         # The camera: h = 1/(f + d) = M/(T_op + f), and T_op + f = f (1 + M) in focus.
-        inverse_distance, distortion, distortion_2, *principal_point = lens
+        inverse_distance, distortion, distortion_k2, *principal_point = lens
         magnification, by_inverse_distance = pose[0], pose[0]
         by_magnification = inverse_distance
         if self.focal_length is not None:
             inverse_distance = 1 / (self.focal_length * (1 + magnification))
             by_inverse_distance, by_magnification = 0.0, inverse_distance / (1 + magnification)
-        convergence = magnification * inverse_distance
-        camera = np.array([magnification, convergence, distortion, *pose[1:]])
+        inverse_depth = magnification * inverse_distance
+        camera = np.array([magnification, inverse_depth, distortion, *pose[1:]])
         points, by_camera = Microscope.project_plane(camera, world, self.frame.cell)
         camera_by = np.zeros((len(camera), len(LENS) + len(POSE)))  # (M, h, κ, pose) by all
         camera_by[1, 0], camera_by[2, 1] = by_inverse_distance, 1.0
@@ -109,8 +109,8 @@ class Views:
         # The other terms of the lens: p (1 + κ₂ r⁴) + c with r in µm, and its derivatives.
         sensor = points * self.frame.cell
         square = (sensor**2).sum(axis=1)[:, np.newaxis]
-        stretch = 1 + distortion_2 * square**2
-        by_square = 2 * distortion_2 * square * points
+        stretch = 1 + distortion_k2 * square**2
+        by_square = 2 * distortion_k2 * square * points
         square_by_points = 2 * sensor * self.frame.cell
         by_points = stretch[..., np.newaxis] * np.eye(2) + np.einsum(
             "ni,nj->nij", by_square, square_by_points
@@ -177,57 +177,23 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     """
     base = [1] if views.focal_length is not None else [0, 1]
     every = [views.subset([v]) for v in range(len(views.world))]
-    fits = [[_fit(one, *start, base) for start in _starts(one)] for one in every]
+    fits = [[least_squares_fit(one, *start, base) for start in _starts(one)] for one in every]
     alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
     if len(every) == 1:
         return alone[0][0], alone
     lens = np.median([pair[0].lens for pair in alone], axis=0)
-    best = _fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
+    best = least_squares_fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
     for added in _OPTIONAL:
         lens_free = [k for k in best.free if k < len(LENS)]
         with suppress(ValueError):  # a fit that does not converge is no improvement
-            trial = _fit(views, best.lens, best.poses, lens_free + added)
+            trial = least_squares_fit(views, best.lens, best.poses, lens_free + added)
             penalty = len(added) * np.log(len(trial.residuals))
             if best.cost - trial.cost > penalty * views.residual_variance(trial):
                 best = trial
     return best, alone
 
 
-def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
-    """Reprojection error of each view, rms in px, with the lens fitted to other views.
-
-    In each of five folds a fifth of the views is left out, and the pose of each of them is fitted.
-    A view that the median lens of all views fits ten times worse than most views is left out of
-    every fit of the lens. The error is NaN where a fit fails, and for fewer than three views.
-    """
-    every = np.arange(len(views.world))
-    lenses = np.array([pair[0].lens for pair in alone])
-    poses = np.concatenate([pair[0].poses for pair in alone])
-
-    def squared_error(view: np.intp, lens: Array) -> float:
-        one = _fit(views.subset([view]), lens, poses[[view]], [])
-        return one.cost / len(views.world[view])
-
-    squares = np.full(len(every), np.inf)
-    for v in every:
-        with suppress(ValueError):
-            squares[v] = squared_error(v, np.median(lenses, axis=0))
-    consistent = squares <= 10**2 * max(np.median(squares), views.rounding_variance(fit.poses))
-    errors = np.full(len(every), np.nan)
-    if consistent.sum() < 3:
-        return errors
-    lens_free = [k for k in fit.free if k < len(LENS)]
-    for fold in range(min(len(every), 5)):
-        rest = every[(every % 5 != fold) & consistent]
-        with suppress(ValueError):
-            start = np.median(lenses[rest], axis=0)
-            lens = _fit(views.subset(rest), start, poses[rest], lens_free).lens
-            for v in every[every % 5 == fold]:
-                errors[v] = np.sqrt(squared_error(v, lens))
-    return errors
-
-
-def _fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
+def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[int]) -> Fit:
     """Fit all poses and the given parameters of the lens by Levenberg–Marquardt from a start."""
     start = np.concatenate([lens, poses.ravel()])
     first = len(LENS)
@@ -291,8 +257,8 @@ def _starts(one: Views) -> list[tuple[Array, Array]]:
         turned = world @ rotation[:, :2].T
         depth = turned[:, 2] if one.focal_length is None else np.zeros(len(world))
         flat = turned[:, :2] + [tx, ty]
-        magnification, distortion, convergence = linear_intrinsics(flat, depth, sensor).tolist()
-        lens = np.array([abs(convergence / magnification), distortion, 0.0, 0.0, 0.0])
+        magnification, distortion, inverse_depth = linear_intrinsics(flat, depth, sensor).tolist()
+        lens = np.array([abs(inverse_depth / magnification), distortion, 0.0, 0.0, 0.0])
         starts.append((lens, np.array([[magnification, alpha, sign * beta, sign * gamma, tx, ty]])))
     return starts
 
@@ -363,7 +329,7 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     # Of five points the sixth direction is in the full decomposition only.
     triangle = np.linalg.qr(rows, mode="r")
     singular, directions = np.linalg.svd(triangle)[1:]
-    if len(world) < 5 or not singular[4] > _DEGENERATE * singular[0]:
+    if len(world) < 5 or not singular[4] > _RANK_TOLERANCE * singular[0]:
         raise ValueError(
             f"world and sensor must determine a pose, got {len(world)} degenerate points"
         )
@@ -386,7 +352,7 @@ def _euler_angles(block: Array) -> Array:
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:
-    """Magnification, distortion and convergence from a known pose, by linear least squares.
+    """Magnification, distortion and inverse depth from a known pose, by linear least squares.
 
     Parameters
     ----------
@@ -432,4 +398,4 @@ def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> A
     rows = np.stack([flat, -sensor * radius2, -sensor * depth[:, None]], axis=-1).reshape(-1, 3)
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0] = 1.0
-    return np.linalg.lstsq(rows / scale, sensor.ravel(), rcond=_DEGENERATE)[0] / scale
+    return np.linalg.lstsq(rows / scale, sensor.ravel(), rcond=_RANK_TOLERANCE)[0] / scale

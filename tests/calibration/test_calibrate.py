@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import t as student
 
 from microlib.calibration import (
+    Calibration,
     Detection,
     calibrate,
     cramer_rao,
@@ -20,7 +21,7 @@ from microlib.calibration import (
     linear_intrinsics,
     radial_alignment,
 )
-from microlib.calibration._views import Views, _fit
+from microlib.calibration._views import Views, least_squares_fit
 from microlib.microscope import Microscope
 from microlib.synthetic import render_squares
 
@@ -429,7 +430,7 @@ def test_mirrored_start_gives_a_positive_magnification(index):
     lens = np.array([1 / (2.59 * F), -8.4e-10, 0, 0, 0])
     turned = poses.copy()
     turned[index] = poses[index] * [-1, 1, -1, -1, -1, -1] + [0, np.pi, 0, 0, 0, 0]
-    plain, mirrored = (_fit(views, lens, start, [0, 1]) for start in (poses, turned))
+    plain, mirrored = (least_squares_fit(views, lens, start, [0, 1]) for start in (poses, turned))
     np.testing.assert_allclose(mirrored.estimate, plain.estimate, rtol=1e-6, atol=1e-9)
     scale = np.abs(plain.jacobian).max(axis=0)
     np.testing.assert_allclose(mirrored.jacobian / scale, plain.jacobian / scale, atol=1e-6)
@@ -520,7 +521,7 @@ def test_jacobian_of_views_is_the_complex_step_derivative(focal_length):
 def test_several_views_agree_with_opencv():
     world, image = lens_views(4, aside=(14, -9), second=0.15)
     found = calibrate(world, image, **CAMERA)
-    assert {"principal_x", "principal_y", "distortion_2"} <= set(found.parameters)
+    assert {"principal_x", "principal_y", "distortion_k2"} <= set(found.parameters)
     estimate = dict(zip(found.parameters, found.estimate, strict=True))
     flat = [np.column_stack([w, 0 * w[:, 0]]).astype(np.float32) for w in world]
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
@@ -538,6 +539,8 @@ def test_several_views_agree_with_opencv():
     assert found.plane_error.rms < 280 / 46 * 1.3 * NOISE * np.sqrt(2)
     assert found.adequate
     assert len(found.residuals) == sum(map(len, image))
+    of_release_0_4_0 = found.to_json().replace("distortion_k2", "distortion_2")
+    assert Calibration.from_json(of_release_0_4_0).parameters == found.parameters
     # With both terms OpenCV projects the pattern to where it was drawn.
     told = json.loads(found.to_json())["opencv"]
     vectors = [np.array(told[n][1]) for n in ("rotation_vectors", "translation_vectors_um")]

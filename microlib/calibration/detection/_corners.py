@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._detection import FEWEST
+from microlib.calibration._detection import MIN_MARKS
 from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._lattice import (
     CELL,
@@ -43,7 +43,7 @@ def find_corners(grey: NDArray[np.float32], kind: str, settings: Settings) -> tu
         for a chessboard, or without markers for a ChArUco board.
     """
     smooth: NDArray = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    boards, fault = [], f"fewer than {FEWEST} of its corners"
+    boards, fault = [], f"fewer than {MIN_MARKS} of its corners"
     for blur in settings.saddle_blurs:
         with suppress(ValueError):
             board = _correlated(smooth, *_grow_board(grey, blur, kind), kind, settings)
@@ -94,7 +94,7 @@ def _correlated(
         both = [correlation(smooth, centers, steps, places, sign * drawn) for sign in (1, -1)]
         kept = (max(both, key=np.median) > limit) & (offset < 1 - limit)
         centers, grid = centers[kept], grid[kept]
-        if len(grid) < FEWEST or fill(grid) == 0:
+        if len(grid) < MIN_MARKS or fill(grid) == 0:
             raise ValueError("no corner of a board is left")
     return centers, grid
 
@@ -102,7 +102,7 @@ def _correlated(
 def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Array, Index]:
     """Corners of the largest board among the saddle points, and the column and row of each."""
     centers, hessians = _saddles(grey, blur)
-    if len(centers) < FEWEST:
+    if len(centers) < MIN_MARKS:
         raise ValueError("no board is found")
     # Most saddle points of a ChArUco board belong to its markers.
     near = neighbors(centers, 50 if kind == "charuco" else 12)

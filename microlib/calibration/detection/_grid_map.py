@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
 from microlib._common import Array
-from microlib.calibration._uncertainty import polynomial_basis
+from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
 from microlib.calibration.detection._marks import TO_SIGMA
 from microlib.calibration.detection._settings import Settings
 from microlib.microscope import distort

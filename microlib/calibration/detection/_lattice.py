@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._detection import FEWEST
+from microlib.calibration._detection import MIN_MARKS
 from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
@@ -42,7 +42,7 @@ def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Marks, Index]]:
     are of equal length and at the angle of the lattice in the metric given by the shape of the
     mark. Each step predicts the next.
     """
-    if len(marks.centers) < FEWEST:
+    if len(marks.centers) < MIN_MARKS:
         return []
     whitening, near, similar = _similar_neighbors(marks)
     angle = np.pi / 3 if lattice == "hexagonal" else np.pi / 2
@@ -116,9 +116,9 @@ def grow_pieces(
         best: dict[tuple[int, int], int] = {}
         for steps in first_steps(seed) if free[seed] else ():
             best = max(best, _grow(centers, tree, seed, steps, may_adjoin, tolerance), key=len)
-            if len(best) > 3 * FEWEST:  # too many for a coincidence
+            if len(best) > 3 * MIN_MARKS:  # too many for a coincidence
                 break
-        if len(best) >= FEWEST:
+        if len(best) >= MIN_MARKS:
             index, grid = (np.array(list(each), dtype=np.intp) for each in (best.values(), best))
             free[index] = False
             if fill(grid) > Settings.min_fill:

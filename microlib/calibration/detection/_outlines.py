@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array
-from microlib.calibration._uncertainty import polynomial_basis
+from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.calibration._detection import FEWEST, Detection
+from microlib.calibration._detection import MIN_MARKS, Detection
 from microlib.calibration.detection._corners import find_corners
 from microlib.calibration.detection._grid_map import GridMap, check_residuals, fit_grid_map
 from microlib.calibration.detection._lattice import (
@@ -155,7 +155,7 @@ def _remove_bias(
 ) -> Array:
     """Points (n, k, 2) without their bias under perspective and distortion, by a map fitted to the
     points with the bias."""
-    if len(cells) < FEWEST:
+    if len(cells) < MIN_MARKS:
         raise ValueError(f"image must show a plane grid, got {len(cells)} marks of one")
     to_image, positions = fit_grid_map(fitted.points, cells, offsets, marks.image.shape)
     if kind == "squares":

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
-from microlib.calibration._detection import FEWEST
+from microlib.calibration._detection import MIN_MARKS
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import (
     BLUR,
@@ -30,7 +30,7 @@ from microlib.calibration.detection._outlines import (
 # then the parameters that all outlines have.
 CENTER, _SHAPE = slice(0, 2), slice(2, 5)
 #: Least divisor, at the center of an ellipse, where no fitted pixel is.
-_LEAST = 1e-9
+_MIN_DIVISOR = 1e-9
 
 # Parameters of lines, the four of a quadrilateral or the two at a corner of a board: angles of the
 # (outward) normals, distances from the origin of the patch, then the common parameters.
@@ -43,7 +43,7 @@ def are_round(marks: Marks, steps: Array) -> bool:
     """Whether ellipses fit the grey levels of the marks better than quadrilaterals."""
     # A few marks suffice, as each has hundreds of pixels. The first marks of a lattice are
     # neighbors, so that their bands do not overlap.
-    first = slice(2 * FEWEST)
+    first = slice(2 * MIN_MARKS)
     some = replace(
         marks[first],
         settings=replace(marks.settings, max_iterations=marks.settings.shape_iterations),
@@ -100,7 +100,7 @@ def fit_marks(marks: Marks, grid: NDArray[np.intp], steps: Array, kind: str) -> 
     if good.any():
         good &= fit.rms <= 3 * np.median(fit.rms[good])
         good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 20)
-    if good.sum() < FEWEST:
+    if good.sum() < MIN_MARKS:
         raise ValueError(f"image must show a grid of {kind}, got {int(good.sum())} whole ones")
     fit = smooth_parameters(fit[good], model.smooth, marks.settings)
     points, sigma, ellipses = model.locate(fit)
@@ -227,9 +227,9 @@ def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Ar
     a, b, d = (p[:, None] for p in parameters[:, _SHAPE].T)
     dx, dy = x - parameters[:, :1], y - parameters[:, 1:2]
     qx, qy = a * dx + b * dy, b * dx + d * dy
-    rho = np.maximum(np.hypot(qx, qy), _LEAST)
+    rho = np.maximum(np.hypot(qx, qy), _MIN_DIVISOR)
     gx, gy = (a * qx + b * qy) / rho, (b * qx + d * qy) / rho
-    steep = np.maximum(np.hypot(gx, gy), _LEAST)
+    steep = np.maximum(np.hypot(gx, gy), _MIN_DIVISOR)
     by_shape = np.stack([qx * dx, qx * dy + qy * dx, qy * dy], axis=-1) / (rho * steep)[..., None]
     return (1 - rho) / steep, gx / steep, gy / steep, by_shape
 
