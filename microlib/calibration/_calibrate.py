@@ -24,10 +24,10 @@ from microlib.calibration._views import (
     Fit,
     Views,
     fit_views,
-    without_optional,
 )
 from microlib.calibration.adequacy._held_out import held_out_errors
 from microlib.calibration.adequacy._lack_of_fit import check_fit
+from microlib.calibration.adequacy._lens_terms import add_lens_terms, without_lens_terms
 from microlib.microscope import Microscope
 
 
@@ -116,6 +116,7 @@ def calibrate(
     pairs = [_checked_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
     views = Views([w for w, _ in pairs], [i for _, i in pairs], frame, focal_length)
     fit, alone = fit_views(views)
+    fit = add_lens_terms(views, fit)
     if not (fit.poses[:, 0] > 0).all():
         raise ValueError(
             f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
@@ -202,7 +203,7 @@ def _build_result(
     outer[undetermined] = outer[:, undetermined] = np.nan
     outer[undetermined, undetermined] = np.inf
     plane_residuals = [
-        scope.back_project(without_optional(lens, image, scope.cell) + scope.principal_point)
+        scope.back_project(without_lens_terms(lens, image, scope.cell) + scope.principal_point)
         - world
         for scope, image, world in zip(scopes, views.image, views.world, strict=True)
     ]

@@ -280,8 +280,7 @@ class Calibration(Tidy):
         str
         """
         scope = self.microscope
-        shift = [self._value("principal_x"), self._value("principal_y")]
-        center = scope.principal_point + np.array(shift)
+        center = scope.principal_point + np.array([self._value(f"principal_{c}") for c in "xy"])
         distance = (scope.tube_length + scope.focal_length) / scope.cell
         terms, worst = self._brown()
         width, *ends = self.um_per_pixel()
@@ -331,11 +330,9 @@ class Calibration(Tidy):
             If `text` holds no calibration.
         """
         try:
-            own = json.loads(text)["calibration"]
-            own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
             # Release 0.4.0 named the second coefficient like a parameter of the second view.
-            names = ["distortion_k2" if n == "distortion_2" else n for n in own["parameters"]]
-            own["parameters"] = names
+            own = json.loads(str(text).replace('"distortion_2"', '"distortion_k2"'))["calibration"]
+            own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
             own["views"] = [Microscope(**view) for view in own["views"]]
             own |= {n: tuple(v) for n, v in own.items() if isinstance(v, list)}
             return cls(microscope=own["views"][0], **own)

@@ -8,7 +8,6 @@ alignment, then magnification and distortion by linear least squares.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -26,8 +25,6 @@ from microlib.microscope import Microscope, euler_rotation
 LENS = ("focal_length", "distortion", "distortion_k2", "principal_x", "principal_y")
 #: Parameters of a view: M, α, β, γ in rad, and T_x, T_y in µm.
 POSE = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
-#: Indices in `LENS` of the parameters that are added together if several views determine them.
-_OPTIONAL = ([3, 4], [2])
 #: Relative rounding error of an image point: one operation makes 1e-16, another order of the same
 #: sums up to 1e-15. No decision depends on a smaller difference.
 _ROUNDING = 1e-13
@@ -171,8 +168,6 @@ class Fit:
 def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     """Fit all views together, and each view alone from both signs of its tilt.
 
-    Parameters of `_OPTIONAL` are added to the lens of several views if they lower the Bayesian
-    information criterion: the sum of squares must fall by log(2 N) variances for each parameter.
     Of the two fits of each view the better one comes first.
     """
     base = [1] if views.focal_length is not None else [0, 1]
@@ -183,13 +178,6 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
         return alone[0][0], alone
     lens = np.median([pair[0].lens for pair in alone], axis=0)
     best = least_squares_fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
-    for added in _OPTIONAL:
-        lens_free = [k for k in best.free if k < len(LENS)]
-        with suppress(ValueError):  # a fit that does not converge is no improvement
-            trial = least_squares_fit(views, best.lens, best.poses, lens_free + added)
-            penalty = len(added) * np.log(len(trial.residuals))
-            if best.cost - trial.cost > penalty * views.residual_variance(trial):
-                best = trial
     return best, alone
 
 
@@ -261,19 +249,6 @@ def _starts(one: Views) -> list[tuple[Array, Array]]:
         lens = np.array([abs(inverse_depth / magnification), distortion, 0.0, 0.0, 0.0])
         starts.append((lens, np.array([[magnification, alpha, sign * beta, sign * gamma, tx, ty]])))
     return starts
-
-
-def without_optional(lens: Array, image: Array, cell: Array) -> Array:
-    """Image points, px, without the second distortion term and the shift of the principal point.
-
-    The inverse of p (1 + κ₂ r⁴) + c by fixed-point iteration.
-    """
-    shifted = image - lens[3:]
-    points = shifted
-    for _ in range(8):  # each iteration leaves four times the term, a few hundredths, of the error
-        radius2 = ((points * cell) ** 2).sum(axis=1, keepdims=True)
-        points = shifted / (1 + lens[2] * radius2**2)
-    return points
 
 
 def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:

@@ -1,1 +1,1 @@
-"""Whether the model of a calibration is adequate: lack of fit and cross-validation."""
+"""Whether the model of a calibration is adequate: lens terms, lack of fit, cross-validation."""
