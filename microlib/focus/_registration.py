@@ -22,7 +22,7 @@ from microlib.io import read_frames
 
 #: Least side of a frame that can be registered, px, and the shorter side above which frames are
 #: reduced by whole blocks before they are compared.
-_SMALLEST, _WORKING_SIDE = 32, 240
+_MIN_SIDE, _WORKING_SIDE = 32, 240
 #: Correlation of the aligned frames below which they do not show one scene: noise and foreign
 #: frames stay below 0.2.
 _CORRELATION = 0.5
@@ -85,9 +85,9 @@ def register(frames: Sequence[Image]) -> Registration:
         If some frames are left out for that reason.
     """
     shape, count = frames[0].shape, len(frames)
-    if min(shape) < _SMALLEST:
+    if min(shape) < _MIN_SIDE:
         raise ValueError(
-            f"frames must be at least {_SMALLEST} px on each side to be registered, got {shape}"
+            f"frames must be at least {_MIN_SIDE} px on each side to be registered, got {shape}"
         )
     factor = max(min(shape) // _WORKING_SIDE, 1)
     small = list(read_frames((frame.astype(np.float32) for frame in frames), reduce=factor))

@@ -20,7 +20,7 @@ from microlib.focus.multiscale._symmetry import find_symmetry, shape_error
 
 #: Rows that are read on either side of a strip, the reach of the measures' windows. Rows of a
 #: strip, of which fewer are taken of more frames, so that its measures stay below 64 MB.
-_MARGIN, _MOST_ROWS = 32, 256
+_MARGIN, _MAX_ROWS = 32, 256
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def fit_stack(
     shape = frames[0].shape
     rows = 2**24 // max(shape[1] * len(axis.steps), 1) - 2 * _MARGIN
     # A multiple of eight, as blocks of eight rows are averaged.
-    tops = range(0, shape[0], int(np.clip(rows // 8 * 8, 64, _MOST_ROWS)))
+    tops = range(0, shape[0], int(np.clip(rows // 8 * 8, 64, _MAX_ROWS)))
 
     def strip(top: int) -> Fits:
         bottom = min(top + tops.step, shape[0])
