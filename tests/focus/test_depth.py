@@ -129,7 +129,7 @@ def test_depth_does_not_depend_on_strips_of_rows(monkeypatch):
     height = 75 + synthetic.paraboloid((300, 64), 100.0)
     stack = render(height)
     whole = depth_from_focus(stack, POSITIONS)
-    monkeypatch.setattr("microlib.focus.multiscale._fits._MOST_ROWS", 64)
+    monkeypatch.setattr("microlib.focus.multiscale._fits._MAX_ROWS", 64)
     strips = depth_from_focus(stack, POSITIONS)
     np.testing.assert_allclose(strips.depth, whole.depth, atol=1e-4 * STEP)
 
