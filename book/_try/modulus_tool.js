@@ -64,8 +64,8 @@
     const steepness = p.dimpleDepth / p.dimpleRadius;
     warning.hidden = Boolean(wrong) || !(steepness > STEEP);
     warning.textContent =
-      `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is about 5 % too low or ` +
-      "more. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
+      `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is at least about 5 % too ` +
+      "low. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
     picture.replaceChildren(...(wrong ? [] : [dimple(picture.clientWidth || 340, p)]));
   };
 

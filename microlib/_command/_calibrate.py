@@ -18,11 +18,11 @@ from microlib._common import home_path
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=["camera.csv", "camera.json", "points.csv", "look.png"])
-    photos = "image of a grid, folder or quoted pattern; of one microscope and in one size"
+    photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
     add_scales(parser, "pitch", "cell", "focal_length")
     marks = ["auto", "chessboard", "charuco", "squares", "circles"]
-    parser.add_argument("--marks", choices=marks, default=marks[0], help="of the grid")
+    parser.add_argument("--marks", choices=marks, default=marks[0], help="kind of marks")
 
 
 def run(a: argparse.Namespace) -> Files:

@@ -23,14 +23,14 @@ _MAPS = {
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=[*_MAPS, "surface.ply", "summary.json", "look.png"])
-    stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame a focus position"
+    stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame at each position"
     parser.add_argument("source", metavar="STACK", help=stack)
     shared.add_scales(parser, "spacing", "pixel_size")
     shared.add_axes(parser)
-    parser.add_argument("--register", action="store_true", help="undo motion from frame to frame")
-    parser.add_argument("--region", help="part of the frames, px", **shared.BOX)
-    parser.add_argument("--reduce", type=int, default=1, metavar="N", help="N×N px become one")
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="threads")
+    parser.add_argument("--register", action="store_true", help="correct shifts between frames")
+    parser.add_argument("--region", help="part of the frames to use, px", **shared.BOX)
+    parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="number of threads")
 
 
 def run(a: argparse.Namespace) -> shared.Files:

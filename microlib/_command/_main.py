@@ -136,7 +136,7 @@ def _targets(a: argparse.Namespace) -> dict[str, Path]:
 def _parser() -> argparse.ArgumentParser:
     about = (microlib.__doc__ or "").partition("\n")[0]  # python -OO has none
     statuses = (
-        "Exit status: 0 done; 2 error; 3 the film ended early, the rows so far are written; "
+        "Exit status: 0 done; 2 error; 3 the film ended early, and the rows so far are written; "
         "4 the part was lost in most frames; 130 stopped by Ctrl-C."
     )
     parser = _Parser(prog="microlib", description=about, epilog=statuses)
@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(run=task.run)
         out = "CSV file" if "table" in sub.get_default("files") else "folder for the results"
         sub.add_argument("-o", "--out", required=True, type=Path, metavar="OUT", help=out)
-        sub.add_argument("--overwrite", action="store_true", help="write over earlier results")
-        sub.add_argument("--no-look", action="store_true", help="no picture of the result")
-        sub.add_argument("--quiet", action="store_true", help="print errors and notes only")
+        sub.add_argument("--overwrite", action="store_true", help="replace earlier results")
+        sub.add_argument("--no-look", action="store_true", help="write no picture of the result")
+        sub.add_argument("--quiet", action="store_true", help="print only errors and notes")
     return parser

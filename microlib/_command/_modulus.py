@@ -14,11 +14,13 @@ from microlib._common import home_path
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=["table", "look.png"])
-    outline = "table with columns x, y, or col, row, or with two columns; in px, or as named (y_um)"
+    outline = "table with columns x and y, or col and row, or two columns; px, or µm (x_um, y_um)"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
     add_scales(parser, "probe_half_width", "poisson_ratio")
-    parser.add_argument("--y-down", action="store_true", help="y runs down, as an image's rows do")
+    parser.add_argument(
+        "--y-down", action="store_true", help="y increases downwards, as in an image"
+    )
 
 
 def run(a: argparse.Namespace) -> Files:

@@ -19,17 +19,17 @@ _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 
 
 #: Unit and description of each scale.
 _SCALES = {
-    "spacing": ("µm", "between frames; by default from the file"),
-    "pixel_size": ("µm/px", "in the object plane; by default from the file"),
-    "pitch": ("µm", "between the middles of neighboring marks, or side of a field"),
-    "cell": ("µm", "size of a cell of the camera's sensor"),
-    "focal_length": ("µm", "of the objective, from its maker; else it is estimated"),
-    "force": ("µN", "of the probe"),
-    "force_std": ("µN", "standard deviation of the force, 0"),
-    "thickness": ("µm", "of the membrane"),
-    "thickness_std": ("µm", "standard deviation of the thickness, 0"),
-    "probe_half_width": ("µm", "of its end"),
-    "poisson_ratio": ("ratio", "of the membrane; 0.5 if it keeps its volume"),
+    "spacing": ("µm", "distance between frames; by default from the file"),
+    "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
+    "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
+    "cell": ("µm", "size of a sensor pixel"),
+    "focal_length": ("µm", "focal length of the objective; estimated if it is not given"),
+    "force": ("µN", "force of the probe"),
+    "force_std": ("µN", "standard deviation of the force; 0 by default"),
+    "thickness": ("µm", "thickness of the membrane"),
+    "thickness_std": ("µm", "standard deviation of the thickness; 0 by default"),
+    "probe_half_width": ("µm", "half of the width of the probe at its end"),
+    "poisson_ratio": ("ratio", "Poisson ratio of the membrane; 0.5 for constant volume"),
 }
 #: Options of a part of an image.
 BOX: dict[str, Any] = {"nargs": 4, "type": int, "metavar": ("X", "Y", "W", "H")}
@@ -94,7 +94,9 @@ def resolve_scales(
 def add_axes(parser: argparse.ArgumentParser) -> None:
     """Add the choice among the axes of a file that has more than a stack."""
     for name in ("channel", "time", "series"):
-        parser.add_argument(option(name), type=int, metavar="N", help=f"{name} to read, from 0")
+        parser.add_argument(
+            option(name), type=int, metavar="N", help=f"{name} to read, counted from 0"
+        )
 
 
 def open_frames(a: argparse.Namespace) -> Any:

@@ -16,14 +16,16 @@ from microlib._command import _shared as shared
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=["table", "look.png", "look.mp4"])
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
-    box = "the part in the first frame, px"
+    box = "box around the part in the first frame, px"
     parser.add_argument("--box", required=True, help=box, **shared.BOX)
     motions = ["translation", "affine", "homography"]
-    parser.add_argument("--motion", choices=motions, default=motions[0], help="how the part moves")
+    parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     shared.add_scales(parser, "pixel_size")
     shared.add_axes(parser)
-    parser.add_argument("--video", action="store_true", help="also a film with the part marked")
+    parser.add_argument(
+        "--video", action="store_true", help="also write a film that marks the part"
+    )
 
 
 def run(a: argparse.Namespace) -> shared.Files:

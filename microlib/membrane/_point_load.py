@@ -471,9 +471,9 @@ def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
             f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
-            "makes the modulus 4 % to 11 % too low at w_d/a = 0.1 and more beyond (see "
-            "finite_slope_modulus); a stress that varies along the radius gives another modulus at "
-            "any depth (see disc_modulus)",
+            "makes the modulus 4 % to 11 % too low at w_d/a = 0.1, and the error grows with w_d/a "
+            "(see finite_slope_modulus); a stress that is not uniform gives another modulus at any "
+            "depth (see disc_modulus)",
             SmallSlopeWarning,
             stacklevel=3,
         )
