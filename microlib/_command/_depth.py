@@ -27,7 +27,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="STACK", help=stack)
     shared.add_scales(parser, "spacing", "pixel_size")
     shared.add_axes(parser)
-    parser.add_argument("--register", action="store_true", help="correct shifts between frames")
+    parser.add_argument(
+        "--register",
+        action="store_true",
+        help="correct motion, scale and brightness between frames",
+    )
     parser.add_argument("--region", help="part of the frames to use, px", **shared.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="number of threads")
