@@ -265,7 +265,8 @@ class Differences(SphinxDirective):
             if claim.verdict == "disagrees":
                 thesis = f"The thesis prints {printed(claim)}."
                 if not claim.printed:
-                    thesis = f"The thesis states: {claim.says}. For this sentence {claim.rule}."
+                    rule = claim.rule.replace("must be", "is")
+                    thesis = f"The thesis states: {claim.says}. This statement holds if {rule}."
                 what, where, thesis, note = (
                     escape(text, quote=False)
                     for text in (claim.what, claim.where, thesis, claim.note)

@@ -1,4 +1,4 @@
-"""The command ``microlib``: four tasks on the user's files, each a few calls of the library."""
+"""The command ``microlib``: four tasks on the user's files, each of which calls the library."""
 
 from microlib._command._main import main
 
