@@ -13,6 +13,7 @@ from microlib.tracking import _sampling
 from microlib.tracking._esm import make_level
 from microlib.tracking._geometry import GENERATORS, apply_homography, retract
 from microlib.tracking._sampling import half_pixel, sample
+from microlib.tracking.robust._photometric import make_photometric
 
 BOX = (30, 24, 40, 36)
 POSE = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
@@ -128,3 +129,23 @@ def test_smoothing_in_the_frame_of_the_template_commutes_with_the_warp():
     truth = apply_homography(stretch @ POSE, one.corners)
     # Measured 0.011 px, from two interpolations; smoothing the frames instead leaves 0.060 px.
     assert np.abs(found - truth).max() < 0.03
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 36), (40, 37), (41, 37)])
+def test_photometric_gain_and_bias_are_those_at_the_middle(width, height):
+    x, y, _, _ = box = (*BOX[:2], width, height)
+    pose = np.array([[20, 0, x + (width - 1) / 2], [0, 20, y + (height - 1) / 2], [0, 0, 1.0]])
+    image = 100 + 40 * texture()
+
+    def cut(one):
+        return make_level(
+            half_pixel(one), box, pose, density=2, smoothing=0.6, motion="translation"
+        )
+
+    level = make_photometric(cut(image), cut(cv2.GaussianBlur(image, (0, 0), 0.8)), 5)
+    right = np.arange(image.shape[1], dtype=np.float32) - np.float32(pose[0, 2])
+    frame = 1.2 * image + 20 + 0.5 * right
+    fit = level.align_photometric(half_pixel(frame), pose, 1.0, np.inf)
+    # No noise: single precision, and the half px from the middle of an even side to its pixel.
+    assert fit.gain == pytest.approx(1.2, abs=1e-3)
+    assert fit.bias == pytest.approx(20, abs=0.25 + 0.01)

@@ -109,7 +109,7 @@ class PhotometricLevel(Level):
         shape = self.grey.shape
         residual, robust = residual.reshape(shape), robust.reshape(shape)
         model = (coefficients[_TEMPLATE] @ self.columns[_TEMPLATE]).astype(np.float32)
-        middle = self.columns[_BIAS, self.grey.size // 2 + shape[1] // 2]
+        middle = self.columns[_BIAS, (shape[0] // 2) * shape[1] + shape[1] // 2]
         gain_of_middle = float(coefficients[0]) / self.contrast
         return PhotometricFit(
             pose=pose,
