@@ -163,10 +163,10 @@ def surface_curvature(
     Raises
     ------
     ValueError
-        If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has another unit
+        If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has a unit other
         than µm in ``attrs["units"]``; if `pixel_size` differs from the coordinates of a map of
-        xarray, which have a unit; if `pixel_size` is not positive, `noise` is negative, or
-        `size` is not an odd whole number of at least 3.
+        xarray, which have a unit; if `pixel_size` is not positive, `noise` is negative, or `size`
+        is not an odd whole number of at least 3.
 
     Warns
     -----
@@ -182,10 +182,11 @@ def surface_curvature(
     the units of H and K and of their thresholds.
 
     The standard errors assume independent errors of the heights. The standard error of a second
-    derivative is `noise` times the root of the sum of the squared window coefficients. The errors
-    are propagated to H to first order, and to K to first and second order, because K of a plane is
-    a product of errors. Errors of the slopes are neglected, because their effect is smaller by the
-    ratio of the window size to the radius of curvature.
+    derivative is `noise` times the root of the sum of the squared window coefficients, divided by
+    the square of the pixel size. The errors are propagated to H to first order. They are propagated
+    to K to second order, because on a plane the terms of first order vanish. Errors of the slopes
+    are neglected, because their effect is smaller by the ratio of the window size to the radius of
+    curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

@@ -63,11 +63,11 @@ class ImageEstimate(Tidy):
 
     Notes
     -----
-    `interval` covers the error of the outline. It does not cover the errors of the given force or
-    modulus, of the thickness and of the probe's width, and it assumes that the model is right.
-    `misfit` measures how well the model fits the outline. `model_moduli` and `model_interval`
-    compare other models of the same dimple. They are computed at the first access, which takes half
-    a second.
+    `interval` covers the noise of the outline and the distance of the outline from the fitted
+    curve. It does not cover the errors of the given force or modulus, of the thickness or of the
+    probe's width, nor the whole bias of a model that does not suit the object. `misfit` measures
+    how well the model fits the outline. `model_moduli` and `model_interval` compare other models of
+    the same dimple. They are computed at the first access, which takes half a second.
     """
 
     force: float
@@ -181,14 +181,15 @@ def modulus_from_image(
     pixel_size : float
         Size of a pixel in the object plane, in µm.
     thickness, probe_half_width, poisson_ratio : float
-        As for `microlib.membrane.elastic_modulus`.
+        Thickness h of the chorion and half-width c of the probe, in µm, and Poisson ratio ν, as for
+        `microlib.membrane.elastic_modulus`.
     method : {"membrane", "capsule"}
         ``"membrane"`` fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus
-        by (4.7). ``"capsule"`` fits a closed neo-Hookean capsule, its direction and its radius to
+        by (5.2). ``"capsule"`` fits a closed neo-Hookean capsule, its direction and its radius to
         the whole outline (`microlib.membrane.fit_capsule`). The fit of the capsule takes several
         seconds, and the outline must contain the widest part of the egg.
-    direction
-        Edge of the image through which the probe enters, as for `extract_boundary`.
+    direction : {"auto", "top", "bottom", "left", "right"}
+        Edge of the image through which the probe enters; by default it is detected.
 
     Returns
     -------

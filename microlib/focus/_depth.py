@@ -68,7 +68,7 @@ def depth_from_focus(
         Side of the square over which the measure is summed, px, odd; by default 5. Not accepted
         with "multiscale", whose windows are fixed, and not with a callable.
     workers : int
-        Number of threads. The result does not depend on it. For a dask or zarr array, dask
+        Number of threads. The result does not depend on this number. For a dask or zarr array, dask
         distributes the blocks instead.
     register : bool
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
@@ -80,9 +80,10 @@ def depth_from_focus(
         Side of the square blocks of pixels that are averaged to one pixel, for a quick preview.
     progress : callable, optional
         Function that is called with the number of finished parts of the work and the number of all
-        parts. Each frame that is read is one part, and the depth has as many parts again. An
-        exception from the function ends the work. The options `progress`, `measure`, `register`,
-        `reduce` and `workers` cannot be used with dask and zarr arrays.
+        parts. The reading of a frame is one part, and the computation of the depth has as many
+        parts as there are frames. An exception from the function ends the work. The options
+        `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask and zarr
+        arrays.
 
     Returns
     -------
@@ -109,51 +110,31 @@ def depth_from_focus(
 
     Notes
     -----
-    The steps of "multiscale", with their settings, are these:
+    "multiscale" assumes that an object has texture, and that the focus measure of a pixel is nearly
+    a Gaussian of its distance from focus, (3.9). Its ten steps and their settings are listed on the
+    page *How the library is built*. The result is smoothed within some 7 px, except at steps of the
+    depth. A depth is NaN where noise alone can cause its peak, where different focus measures
+    contradict each other, and in small isolated regions.
 
-    1. *Average.* Frames that are closer than the depth of field requires are averaged, until a peak
-       of the focus measure is about four averaged frames wide. More frames reduce the noise.
-    2. *Measure.* The measure of every second pixel is the product of two modified Laplacians: of
-       the frame smoothed with σ = 0.8 px, and of the frame at half its size with σ = 1 px.
-    3. *Fit.* A parabola is fitted to the logarithm of the measure in seven frames, because Gaussian
-       blur makes the measure nearly a Gaussian of the distance from focus, (3.9).
-    4. *Reject noise.* A depth is NaN if two conditions hold: a block of 8 px and its neighbors have
-       no common peak that is twice as high as the differences between these blocks, and the peak of
-       the pixel is less than 2.5 times the mean of its profile.
-    5. *Choose.* At a step, which is a difference of 1.5 averaged frames or more, a pixel gets the
-       depth of its own side. Where the usual windows contain defocused light only, the depth comes
-       from a window of 52 px.
-    6. *Reject.* A depth is NaN in four cases: two measures disagree by 0.3 averaged frames and no
-       wide window confirms the depth; the pixel lies in the halo of a strong edge, so that its peak
-       is five times lower than the peaks around it and two frames away from them; the connected
-       region has at most about 48 pixels; half of the neighborhood is unknown.
-    7. *Smooth.* Planes are fitted as by `smooth_depth`, with a radius of 7 px.
-    8. *Restore relief.* One depth is computed from second derivatives along rows and one from
-       second derivatives along columns. The errors of these two depths are nearly independent, so
-       their covariance is that of the relief of the object. Fine relief is restored where the
-       covariance exceeds the covariance of noise by 2.5 standard deviations. The difference between
-       the two depths gives the uncertainty.
-    9. *Correct biases.* If the lens moves, the blur of a point is proportional to the difference of
-       the reciprocal distances of the point and of the focal plane, and the peaks are asymmetric. A
-       coordinate in which the peaks are symmetric is found from the midpoints of the peaks at two
-       heights, and all fits use this coordinate. The bias towards the frame positions (peak
-       locking) is subtracted. The uncertainty contains the differences between the fit, these
-       midpoints and a narrower fit.
-    10. *Fit at full size* where the depth is steep or has a step.
+    With any other measure, the peak follows from three frames by (3.13), and only insignificant
+    peaks are rejected. The functions `correct_spikes` and `smooth_depth` can be applied to the
+    result.
 
-    With any other measure, the peak follows from three frames by (3.13). Of the ten steps above,
-    only step 4 is applied. The uncertainty contains the difference between this peak and the
-    midpoints of the profile. The functions `correct_spikes` and `smooth_depth` can be applied to
-    the result.
+    The uncertainty contains the random error and the bias by the shape of the peaks. At a step, it
+    also contains the possibility that the pixel lies on the other side. Where a peak may be noise,
+    the stated uncertainty is that of a uniform distribution over the scan.
 
-    Where a peak may be noise, the stated uncertainty is that of a uniform distribution over the
-    scan. On ground without texture in JPEG, smoothed or quantized frames, on average at most 2 % of
-    the pixels keep a depth with a small stated uncertainty. In resized JPEG frames the share is up
-    to 14 %. On bars of 4 px, 3 to 5 % of the pixels have a wrong depth with a small stated
-    uncertainty, on bars of 3 px 10 %, and on bars of 5 px or more below 1 %. A pixel whose best
-    frame is the first or the last is flagged in `at_end`. Such a pixel gets the position of that
-    frame and the uncertainty of a random depth, unless the fit of seven frames finds a peak inside
-    the scan. If several frames have the same maximum, the first of them is used.
+    These cases have wrong depths with a small stated uncertainty:
+
+    - Surfaces without texture, if the frames are smoothed, quantized or stored as JPEG: at most 2 %
+      of the pixels on average, and up to 14 % if JPEG frames are resized.
+    - Objects that are narrow in the image, such as bars: 10 % of the pixels at a width of 3 px, 3
+      to 5 % at 4 px, and less than 1 % at 5 px or more.
+
+    A pixel whose best frame is the first or the last is flagged in `at_end`. Such a pixel gets the
+    position of that frame and the uncertainty of a random depth, unless the fit of seven frames
+    finds a peak inside the scan. If several frames have the same maximum, the first of them is
+    used.
 
     The blocks of a dask array are its chunks if their sides are multiples of 64 px, and chunks of
     1024 px otherwise. Each block is computed with an overlap of 128 px. The RMS difference between

@@ -23,29 +23,17 @@ _SMOOTHING = 1.25
 class ESMTracker:
     """Track a template through frames by efficient second-order minimization.
 
-    Each frame goes through a list of attempts, from the fastest to the most thorough, until one is
-    accepted:
+    ESM [1]_ [2]_ aligns the template with each frame, from the expected pose. If the blocks of the
+    template do not agree with the frame within the noise, the alignment is continued with a model
+    of smoothly varying light, blur and tone curve, with Tukey's weights [3]_. If this fails, it is
+    repeated from other poses. The page *How the library is built* lists these attempts. The first
+    result that is right with an estimated probability of at least 0.7 is accepted. If there is
+    none, the template is lost. A lost template is searched for in the whole frame, or near the
+    prediction of the Kalman filter.
 
-    1. ign from the expected pose by ESM with one gain and one bias. The images are smoothed in the
-       coordinates of the template and then sampled at half pixels, which removes most of the error
-       of bilinear interpolation. The result is accepted if the blocks of the template agree to
-       within the noise of the first frame and the standard deviation of the corners is small.
-       Otherwise the alignment is continued with a photometric model: light that varies smoothly,
-       blur, a tone curve, and Tukey's weights [3]_.
-    2. Repeat step 1 from the pose that the optical flow of the template's points predicts.
-    3. Rank these poses by the agreement of their blocks, and fit the best ones with the photometric
-       model. A logistic regression gives the probability that the best fit is right. The
-       probability depends on the score of the fit and of the second-best pose, on the inlier ratio,
-       on the distance from the expected pose and on the uncertainty. A template that was lost is
-       searched in the whole frame, or near the prediction of the Kalman filter.
-    4. If the template was found in the previous frame, repeat step 3 from distorted poses and from
-       the peaks of the normalized cross-correlation. A pose of step 3 from which most points of the
-       template move away when they are followed is accepted only if it is the best here, too.
-
-    If no attempt is accepted, the template is lost. A similar object in the previous frame lowers
-    the probability, so the template may be reported as lost. The motion of a periodic texture by
-    nearly a whole period cannot be distinguished from rest. For templates larger than 64 px, steps
-    3 and 4 use frames of half the size. ESM is described in [1]_ and [2]_.
+    An object that resembles the template lowers the probability. A visible template may therefore
+    be reported as lost. The motion of a periodic texture by nearly a whole period cannot be
+    distinguished from rest.
 
     Parameters
     ----------
@@ -57,8 +45,8 @@ class ESMTracker:
     motion : {"homography", "affine", "translation"}
         Group of warps.
     kalman : KalmanFilter, optional
-        Filter that predicts where the search in each frame starts, and limits the region in which a
-        lost template is searched. By default a search starts where the previous search ended.
+        Filter that predicts where the search in each frame starts. It also limits the region in
+        which a lost template is searched for. By default a search starts at the last accepted pose.
 
     Raises
     ------
