@@ -124,7 +124,7 @@ def depth_from_focus(
     also contains the possibility that the pixel lies on the other side. Where a peak may be noise,
     the stated uncertainty is that of a uniform distribution over the scan.
 
-    These cases have wrong depths with a small stated uncertainty:
+    Depths may be wrong and have a small stated uncertainty in these cases:
 
     - Surfaces without texture, if the frames are smoothed, quantized or stored as JPEG: at most 2 %
       of the pixels on average, and up to 14 % if JPEG frames are resized.
