@@ -120,7 +120,7 @@ def scene_and_tracker(motion="translation"):
     return scene, tracker, rng
 
 
-def test_gripper_is_tracked_over_its_background_without_drift():
+def test_gripper_has_not_drifted_after_fifty_frames():
     scene, tracker, rng = scene_and_tracker("affine")
     for k in range(0, 100, 2):
         truth = 40 * np.array([np.sin(k / 25), np.cos(k / 25) - 1])
@@ -167,7 +167,7 @@ def test_track_is_lost_under_full_occlusion_and_found_afterwards(motion):
     np.testing.assert_allclose(found.center - before.center, (9, 12), atol=0.2)
 
 
-def test_reason_is_out_of_view_when_the_template_has_left():
+def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     texture = mixed_texture((100, 200), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=500.0, noise=0.1)
     tracker = ESMTracker(texture, (40, 20, 50, 50), kalman=kalman)
