@@ -13,7 +13,6 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # The same commit gives the same verdict twice; --hypothesis-profile=default looks for more.
 settings.register_profile("same", derandomize=True)
-settings.register_profile("fuzz", max_examples=3000)
 settings.load_profile("same")
 
 

@@ -3,7 +3,7 @@
 Whatever the arguments are, a result comes back or a `ValueError` whose message names an argument.
 No other exception, no warning but the documented ones, no changed input, nothing non-finite from
 finite values unless it is documented, and no call over its time. `tests/test_arguments.py` tests
-this for one argument and for two at a time, `tests/test_sequences.py` for sequences of calls.
+this for one argument and for two at a time.
 """
 
 from __future__ import annotations

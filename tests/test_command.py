@@ -503,9 +503,8 @@ def test_disagreeing_rims_give_a_note(tmp_path, capsys):
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
-        (f"{STACK} --reduce 0", "--reduce must"),
+        (f"{STACK} --time 1", "--time must be left out for frames without"),
         ("track frames.tif --box 0 0 5 40", "track: --box width must be at least 6, got 5"),
-        (f"track frames.tif {BOX} --rate 0", "--rate must"),
         (f"track frames.tif {BOX} --channel 2", "--channel must be left out for frames without"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
         # A source that is not there, or shows something else.
@@ -722,22 +721,6 @@ def test_results_in_the_input_folder_are_ignored(task, tmp_path, capsys, monkeyp
     assert re.search(r"look\.png.*: results, left out", capsys.readouterr().err)
     for name, content in results.items():
         assert (tmp_path / name).read_bytes() == content
-
-
-def test_channel_and_time_select_a_stack(tmp_path, capsys):
-    stack = tifffile.imread(INPUTS / "focal_stack.tif")
-    many = np.stack([np.full_like(stack, 7), stack], axis=1)[None]
-    tifffile.imwrite(
-        tmp_path / "a.ome.tif", np.concatenate([many // 2, many]), metadata={"axes": "TZCYX"}
-    )
-    line = f"depth {tmp_path}/a.ome.tif --spacing 25 --pixel-size 3.9"
-    assert status(line, tmp_path / "out") == 2
-    assert "choose a channel or a time" in capsys.readouterr().err
-    assert status(f"{line} --channel 1 --time 1", tmp_path / "out") == 0
-    assert status(STACK, tmp_path / "plain") == 0
-    for name in ("height", "uncertainty"):
-        one, other = (tifffile.imread(tmp_path / d / f"{name}.ome.tif") for d in ("out", "plain"))
-        np.testing.assert_allclose(one, other, rtol=1e-5)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])

@@ -178,11 +178,6 @@ def test_deep_dimple_warns_of_small_slopes() -> None:
         dimple_depth(5000.0, 250.0, 1.0, **FILM)
 
 
-def test_shapes_that_do_not_broadcast_raise() -> None:
-    with pytest.raises(ValueError, match="broadcast"):
-        dimple_profile([30.0, 40.0], [250.0] * 3, 40.0, probe_half_width=25.0)
-
-
 def test_singular_covariance_with_rounding_is_accepted() -> None:
     assert modulus_std(VALUES, {}, dimple_covariance=[[1.0, 0.5], [0.5 + 1e-16, 0.25]]) > 0
 

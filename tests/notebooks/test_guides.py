@@ -159,25 +159,6 @@ def test_guide_asks_for_the_scales_of_own_file(tmp_path, monkeypatch, guide):
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
 
 
-def test_embryo_guide_measures_a_folder(tmp_path, monkeypatch, capsys):
-    """One image of two is none of an embryo: it costs its row, and its reason is kept."""
-    (tmp_path / "plate").mkdir()
-    scales = copy_input("embryo", tmp_path / "mine.png")
-    copy_input("embryo", tmp_path / "plate" / "a.png")
-    tifffile.imwrite(tmp_path / "plate" / "c.tif", np.full((90, 120), 70, np.uint8))
-    monkeypatch.chdir(tmp_path)
-    run_here("embryo", photograph="mine.png", more="plate/*", **scales)
-    assert {path.name for path in Path("kept").iterdir()} == LEAVES["embryo"] | {"moduli.csv"}
-    table = pd.read_csv("kept/moduli.csv").sort_values("file", ignore_index=True)
-    assert table["file"].tolist() == ["plate/a.png", "plate/c.tif"]
-    alone = pd.read_csv("kept/modulus.csv", index_col=0)["value"]
-    assert table["modulus"][0] == pytest.approx(alone["modulus_MPa"], rel=1e-12)
-    assert table["error"][1].startswith("ValueError: ")
-    text = capsys.readouterr().out
-    assert "2 images, 1 of them without a modulus" in text
-    assert "c.tif: ValueError: " in text
-
-
 #: The cell of each guide that measures a folder of files, and an input to put there.
 RECIPES = {"embryo": ("ge-13", "embryo.png"), "focus_stack": ("gf-16", "focal_stack.tif")}
 
@@ -199,7 +180,7 @@ def executors(where: str) -> Iterator[dict[str, object]]:
 
 @pytest.mark.parametrize("where", ["processes", "dask"])
 @pytest.mark.parametrize("guide", RECIPES)
-def test_folder_recipe_writes_one_row_per_file(tmp_path, monkeypatch, guide, where):
+def test_folder_recipe_writes_one_row_per_file(tmp_path, monkeypatch, capsys, guide, where):
     """A damaged file has its error in its row; a second run evaluates only what has no row."""
     cell, name = RECIPES[guide]
     (recipe,) = [one.source for one in source(guide).cells if one.id == cell]
@@ -232,6 +213,10 @@ def test_folder_recipe_writes_one_row_per_file(tmp_path, monkeypatch, guide, whe
     assert measured.iloc[1].isna().all()
     pd.testing.assert_series_equal(measured.iloc[0], measured.iloc[2], check_names=False)
     assert {path.name for path in tmp_path.glob("*.csv")} == {Path(names["table"]).name}
+    if guide == "embryo":
+        (summary,) = [one.source for one in source(guide).cells if one.id == "ge-14"]
+        exec(summary, names)
+        assert "3 images, 1 of them without a modulus\nb.png: Val" in capsys.readouterr().out
 
 
 def printed_commands() -> list[tuple[str, list[str]]]:
