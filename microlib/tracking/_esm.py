@@ -59,7 +59,7 @@ class Alignment:
         step.
     grey, residual, weight : ndarray, shape (H, W)
         Image under the warp before the last step, its residual, and the weights of the pixels;
-        empty after a failure.
+        empty after a failure. A `PhotometricFit` has no `grey`.
     """
 
     pose: Array
@@ -99,7 +99,7 @@ class Level:
         Generators of the motion.
     flow : ndarray, shape (2, n, N)
         Velocity (x and y, px of the patch) of each pixel for each generator.
-    grey, slope : ndarray, shapes (H, W) and (2, N)
+    grey, gradient : ndarray, shapes (H, W) and (2, N)
         Grey values, and their gradient in x and y per px of the patch.
     mean, contrast : float
         Mean and standard deviation of the grey values.
@@ -114,7 +114,7 @@ class Level:
     basis: Array
     flow: Image
     grey: Image
-    slope: Image
+    gradient: Image
     mean: float
     contrast: float
     noise: float
@@ -136,10 +136,10 @@ class Level:
         A saturated pixel has no weight, unless the template is saturated there, too.
         """
         warp = self.to_image @ pose @ self.to_template
-        grey, slope, inside = cut_out(image, warp, self.grey.shape, self.smoothing)
+        grey, gradient, inside = cut_out(image, warp, self.grey.shape, self.smoothing)
         if saturation < np.inf:
             inside = inside & ((grey < saturation) | (self.grey >= saturation))
-        return grey, slope, inside.astype(np.float32)
+        return grey, gradient, inside.astype(np.float32)
 
     def align(
         self,
@@ -154,11 +154,11 @@ class Level:
         n = len(self.basis)
         first = corners = apply_homography(pose, self.corners)
         for count in range(1, iterations + 1):
-            grey, slope, weight = self.patch(image, pose)
+            grey, gradient, weight = self.patch(image, pose)
             failed = partial(Alignment, pose, visible=float(weight.mean()), iterations=count)
             if failed.keywords["visible"] < LEAST_VISIBLE:
                 return failed(failure="out of view")
-            rows = self._rows(grey, slope, weight, gain)
+            rows = self._rows(grey, gradient, weight, gain)
             normal = rows @ rows.T
             solution = _solved(normal)
             if not solution.size:
@@ -183,7 +183,7 @@ class Level:
             weight=weight,
         )
 
-    def _rows(self, grey: Image, slope: Image, weight: Image, gain: float) -> Array:
+    def _rows(self, grey: Image, gradient: Image, weight: Image, gain: float) -> Array:
         """Return the rows of the least squares: for each motion, template, one, and the image.
 
         Their products with each other are the whole of the normal equations. The gradient is the
@@ -192,10 +192,10 @@ class Level:
         """
         n = len(self.basis)
         rows = np.empty((n + 3, grey.size))
-        slope = slope + np.float32(gain) * self.slope
-        slope *= weight.ravel() * np.float32(0.5)
-        np.multiply(self.flow[0], slope[0], out=rows[:n])
-        rows[:n] += self.flow[1] * slope[1]
+        gradient = gradient + np.float32(gain) * self.gradient
+        gradient *= weight.ravel() * np.float32(0.5)
+        np.multiply(self.flow[0], gradient[0], out=rows[:n])
+        rows[:n] += self.flow[1] * gradient[1]
         rows[n], rows[n + 1], rows[n + 2] = self.centered, 1.0, grey.ravel()
         rows[n + 2] -= self.mean
         rows[n:] *= weight.ravel()
@@ -282,7 +282,7 @@ def make_level(
     )
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
-    grey, slope, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing)
+    grey, gradient, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing)
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     points = to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     basis = GENERATORS[motion]
@@ -297,7 +297,7 @@ def make_level(
         basis=basis,
         flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
         grey=grey,
-        slope=slope,
+        gradient=gradient,
         mean=float(grey.mean(dtype=np.float64)),
         contrast=float(grey.std(dtype=np.float64)),
         noise=noise_gain(halvings, density, smoothing),
@@ -312,11 +312,12 @@ def check_texture(template: Template) -> None:
             f"box must hold texture coarser than 1 px, got a contrast of {sharp.contrast:.3g} of "
             f"which a blur of {smooth.smoothing:g} px leaves {smooth.contrast:.3g}"
         )
-    gradient = sharp.slope.astype(np.float64)
-    weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)
-    # A gradient that single precision may make of none; an edge with a noise of 0.5 % has 0.002.
+    gradient = sharp.gradient.astype(np.float64)
+    weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)  # of the structure tensor
+    # The gradient that rounding to single precision gives a flat template.
     if strong <= (ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:
         raise ValueError("box must hold a textured template, got a flat one")
+    # A straight edge whose noise is 0.5 % of its height has a ratio of 0.002.
     if weak < 1e-4 * strong:
         raise ValueError(
             "box must hold gradients in two directions, got a template that slides along its edges"

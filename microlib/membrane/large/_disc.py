@@ -32,7 +32,7 @@ class _Disc(BoundaryValueProblem):
     """The dimensionless problem: lengths in rim radii a, forces in E h a.
 
     The state has three rows, each divided by its scale: the displacement r − λ₀X, the horizontal
-    tension H per undeformed radius X, and the height z.
+    tension H of the meridian per radian, and the height z.
     """
 
     law: Law

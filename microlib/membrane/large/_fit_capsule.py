@@ -99,8 +99,9 @@ def fit_capsule(
         As for `indent_capsule`.
     start : tuple of float, optional
         Initial modulus (MPa) and inflation, such as those of the same egg in the previous image. A
-        good initial value saves most of the time. By default, and where the fit from `start` ends
-        with a misfit above `thickness`, the initial values come from the crest of the outline.
+        good initial value saves most of the time. By default, and where the fit from `start` has
+        a misfit above `thickness` whose neighboring distances have a correlation above 0.85, the
+        initial values come from the crest of the outline.
     fit_tilt : bool, optional
         Whether a small angle between axis and vertical is fitted, which needs both sides of the
         outline. A tilt of a few mrad that is not fitted doubles `modulus_std`.
@@ -248,9 +249,9 @@ class _OutlineFit:
             return self.distances(parameters(variables), points)
 
         def jacobian(variables: Array) -> Array:
-            here = residual(variables)
-            return np.transpose(
-                [(residual(variables + by) - here) / by.sum() for by in np.diag(step)]
+            here, by_step = residual(variables), np.diag(step)
+            return np.column_stack(
+                [(residual(variables + by) - here) / h for by, h in zip(by_step, step, strict=True)]
             )
 
         # A relative change of 1e-6 of the cost moves no parameter by more than 0.03 of its standard

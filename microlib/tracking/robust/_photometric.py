@@ -39,21 +39,23 @@ _NORMAL = 1.4826
 class PhotometricFit(Alignment):
     """Result of an alignment with the photometric model; gain and bias are those at the middle.
 
+    The correlation is the multiple correlation of the grey values with all columns of the model.
+
     Attributes
     ----------
     blocks : Blocks
         Parts of the image beside those of the template in the fitted light, blur and tone.
     noise : float
         Robust standard deviation of the residual over the noise.
-    slope : ndarray, shape (H, W)
-        Derivative of weight times residual by the residual.
+    psi_slope : ndarray, shape (H, W)
+        Derivative of the M-estimator's ψ, weight times residual, by the residual.
     hidden : ndarray of bool, shape (H, W)
         Pixels whose residual is neither noise nor small beside the template.
     """
 
     blocks: Blocks
     noise: float
-    slope: Image
+    psi_slope: Image
     hidden: Image
 
 
@@ -82,14 +84,14 @@ class PhotometricLevel(Level):
         """
         n, noise = len(self.basis), noise * self.noise
         first = corners = self.corners_of(pose)
-        grey, slope, weight = self.patch(image, pose, saturation)
+        grey, gradient, weight = self.patch(image, pose, saturation)
         inliers = inlier_weight(self, grey, weight, noise).ravel()
         coefficients = weighted_least_squares(self.columns, grey.ravel(), inliers)
         count, moved = 0, np.inf
         while count < _ITERATIONS and moved >= _TOLERANCE:
             gain = coefficients[_TEMPLATE].astype(np.float32) @ self.column_slopes
-            mean_slope = np.float32(0.5) * (slope + gain * self.slope)
-            motion = self.flow[0] * mean_slope[0] + self.flow[1] * mean_slope[1]
+            mean = np.float32(0.5) * (gradient + gain * self.gradient)  # of ESM, as in `_rows`
+            motion = self.flow[0] * mean[0] + self.flow[1] * mean[1]
             design = np.concatenate([motion, self.columns])
             residual = grey.ravel() - coefficients.astype(np.float32) @ self.columns
             prior = weight.ravel() * inliers
@@ -105,7 +107,7 @@ class PhotometricLevel(Level):
             if degenerate(corners, first):
                 return None
             count, moved = count + 1, float(np.abs(corners - before).max())
-            grey, slope, weight = self.patch(image, pose, saturation)
+            grey, gradient, weight = self.patch(image, pose, saturation)
         shape = self.grey.shape
         residual, robust = residual.reshape(shape), robust.reshape(shape)
         model = (coefficients[_TEMPLATE] @ self.columns[_TEMPLATE]).astype(np.float32)
@@ -113,7 +115,7 @@ class PhotometricLevel(Level):
         gain_of_middle = float(coefficients[0]) / self.contrast
         return PhotometricFit(
             pose=pose,
-            correlation=_explained(grey, residual, robust),
+            correlation=_multiple_correlation(grey, residual, robust),
             gain=gain_of_middle,
             bias=float(coefficients[_BIAS] @ middle) - gain_of_middle * self.mean,
             visible=float(weight.mean()),
@@ -123,7 +125,7 @@ class PhotometricLevel(Level):
             weight=robust,
             blocks=compare(grey, model.reshape(shape), weight, noise),
             noise=scale / noise,
-            slope=_tukey_slope(robust, residual, scale),
+            psi_slope=_tukey_slope(robust, residual, scale),
             hidden=_hidden(residual, model.reshape(shape), noise),
         )
 
@@ -150,13 +152,14 @@ def inlier_weight(level: Level, grey: Image, weight: Image, noise: float) -> Ima
     correlated = correlation > 0.7
     median = float(np.median(gain[correlated])) if correlated.any() else 1.0
     by_texture = np.where((gain > median / 2) & (gain < 2 * median), correlation, 0)
-    excess = gg - 2 * median * tg + median**2 * tt - (1 + median**2) * noise**2
-    by_noise = 6 * noise**2 / np.maximum(excess, 6 * noise**2)
+    # Variance of g − median·t. Of noise alone in both images it is 2 noise² at a gain of 1.
+    difference = gg - 2 * median * tg + median**2 * tt - (1 + median**2) * noise**2
+    by_noise = 6 * noise**2 / np.maximum(difference, 6 * noise**2)
     return np.maximum(np.maximum(by_texture, by_noise), 0).astype(np.float32) * weight
 
 
 def tukey(residual: Array, scale: float) -> Array:
-    """Return Tukey's weights."""
+    """Return the weights of Tukey's biweight, (1 − u²)² with u = residual/(4.685 scale)."""
     return np.square(np.maximum(1 - np.square(residual / (_TUKEY * scale)), 0))
 
 
@@ -167,8 +170,8 @@ def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
     return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
 
 
-def _explained(grey: Image, residual: Image, weight: Image) -> float:
-    """Return the weighted correlation of grey values with what is left without the residual."""
+def _multiple_correlation(grey: Image, residual: Image, weight: Image) -> float:
+    """Return the weighted correlation of grey values with their fit, R = √(1 − RSS/TSS)."""
     unit = weight / max(float(weight.sum()), TINY)
     total = float((unit * (grey - (unit * grey).sum()) ** 2).sum())
     unexplained = float((unit * residual**2).sum())
@@ -178,8 +181,8 @@ def _explained(grey: Image, residual: Image, weight: Image) -> float:
 def _hidden(residual: Image, model: Image, noise: float) -> Image:
     """Return the pixels whose residual is neither noise nor small beside the template.
 
-    The mean square residual about them, over 1.5 px, exceeds nine times the noise's and a quarter
-    of the template's variance about them.
+    The mean square residual about them, over 1.5 px, exceeds the sum of nine times the noise's and
+    a quarter of the template's variance about them.
     """
     square = cv2.GaussianBlur(residual**2, (0, 0), 1.5)
     mean = cv2.GaussianBlur(model, (0, 0), _WINDOW)

@@ -43,7 +43,7 @@ class Finding:
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
     displacement : float
-        Distance of the center from the expected one, in sides of the template.
+        Distance of the center from the expected one, in longer sides of the template.
     """
 
     fit: PhotometricFit
@@ -85,7 +85,7 @@ class RobustSearch:
         self._scale = 2.0**self._finest
         cut = partial(make_level, box=box, pose=pose, motion=motion)
         fine = view.layer(self._finest)
-        #: Halved twice more while the template keeps 12 px and may deform.
+        #: Of the coarsest level: up to two more while the shorter side keeps 12 px.
         self._halvings = self._finest
         while self._halvings < self._finest + 2 and min(width, height) >= 24 << self._halvings:
             self._halvings += 1
@@ -238,7 +238,7 @@ class RobustSearch:
         return corner_covariance(
             level,
             fit,
-            slope=fit.slope,
+            slope=fit.psi_slope,
             transmission=level.noise**2,
             factor=self.settings.covariance_factor,
         )
@@ -255,7 +255,7 @@ class RobustSearch:
         return max(blurs, key=lambda blur: self._score(view, pose, blur))
 
     def _different(self, poses: list[Array], scores: list[float]) -> list[int]:
-        """Return the numbers of the poses, best first, more than 3 px from each better one."""
+        """Return the numbers of the poses, best first, 3 px of the finest level apart or more."""
         found: list[int] = []
         for k in sorted(range(len(poses)), key=lambda k: -scores[k]):
             if all(self.distance(poses[k], poses[n]) > 3 * self._scale for n in found):
