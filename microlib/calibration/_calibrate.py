@@ -253,6 +253,6 @@ def _undetermined(
         difference = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
         # The two minima differ by three standard errors of the tilt, and their sums of squares by
         # less than (2 σ)² of the noise: nothing prefers one of them.
-        if (difference > 3 * sigma[tilt]).any() and other.cost - best.cost < 4 * variance:
+        if (difference > 3 * sigma[tilt]).any() and other.rss - best.rss < 4 * variance:
             undetermined[tilt] = True
     return undetermined

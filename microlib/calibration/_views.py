@@ -68,7 +68,7 @@ class Views:
 
     def residual_variance(self, fit: Fit) -> float:
         """Variance of a coordinate estimated from the residuals of a fit, px²."""
-        return fit.cost / max(fit.dof, 1) + self.rounding_variance(fit.poses)
+        return fit.rss / max(fit.dof, 1) + self.rounding_variance(fit.poses)
 
     def predict(self, lens: Array, poses: Array) -> tuple[Array, Array]:
         """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V).
@@ -89,31 +89,35 @@ class Views:
     def _project(self, lens: Array, pose: Array, world: Array) -> tuple[Array, Array]:
         """Image points of one view, and their derivatives by `LENS` and `POSE`, (N, 2, 5 + 6)."""
         # The camera: h = 1/(f + d) = M/(T_op + f), and T_op + f = f (1 + M) in focus.
-        inverse_distance, distortion, distortion_k2, *principal_point = lens
-        magnification, by_inverse_distance = pose[0], pose[0]
-        by_magnification = inverse_distance
+        inverse_principal, distortion, distortion_k2, *principal_point = lens
+        magnification, h_by_inverse_principal = pose[0], pose[0]
+        h_by_magnification = inverse_principal
         if self.focal_length is not None:
-            inverse_distance = 1 / (self.focal_length * (1 + magnification))
-            by_inverse_distance, by_magnification = 0.0, inverse_distance / (1 + magnification)
-        inverse_depth = magnification * inverse_distance
+            inverse_principal = 1 / (self.focal_length * (1 + magnification))
+            h_by_inverse_principal = 0.0
+            h_by_magnification = inverse_principal / (1 + magnification)
+        inverse_depth = magnification * inverse_principal
         camera = np.array([magnification, inverse_depth, distortion, *pose[1:]])
         points, by_camera = Microscope.project_plane(camera, world, self.frame.cell)
-        camera_by = np.zeros((len(camera), len(LENS) + len(POSE)))  # (M, h, κ, pose) by all
-        camera_by[1, 0], camera_by[2, 1] = by_inverse_distance, 1.0
-        camera_by[:2, 5] = 1.0, by_magnification
-        camera_by[3:, 6:] = np.eye(len(pose) - 1)
+        m = len(LENS)  # the column of the magnification; α to T_y follow
+        camera_by = np.zeros((len(camera), m + len(POSE)))  # (M, h, κ, α … T_y) by all parameters
+        camera_by[0, m] = 1.0
+        camera_by[1, 0], camera_by[1, m] = h_by_inverse_principal, h_by_magnification
+        camera_by[2, 1] = 1.0
+        camera_by[3:, m + 1 :] = np.eye(len(pose) - 1)
 
-        # The other terms of the lens: p (1 + κ₂ r⁴) + c with r in µm, and its derivatives.
+        # The other terms of the lens: p (1 + κ₂ r⁴) + c, with r in µm of a point p that κ has
+        # distorted. Its derivative by p is (1 + κ₂ r⁴) I + 2 κ₂ r² p (dr²/dp)ᵀ.
         sensor = points * self.frame.cell
-        square = (sensor**2).sum(axis=1)[:, np.newaxis]
-        stretch = 1 + distortion_k2 * square**2
-        by_square = 2 * distortion_k2 * square * points
-        square_by_points = 2 * sensor * self.frame.cell
-        by_points = stretch[..., np.newaxis] * np.eye(2) + np.einsum(
-            "ni,nj->nij", by_square, square_by_points
-        )
+        r2 = (sensor**2).sum(axis=1)[:, np.newaxis]
+        stretch = 1 + distortion_k2 * r2**2
+        r2_by_points = 2 * sensor * self.frame.cell
+        by_points = stretch[..., np.newaxis] * np.eye(2)
+        by_points += (2 * distortion_k2 * r2 * points)[:, :, np.newaxis] * r2_by_points[
+            :, np.newaxis
+        ]
         jacobian = by_points @ (by_camera @ camera_by)
-        jacobian[..., 2] = square**2 * points
+        jacobian[..., 2] = r2**2 * points
         jacobian[..., 3:5] = np.eye(2)
         return points * stretch + principal_point, jacobian
 
@@ -144,8 +148,8 @@ class Fit:
     jacobian: Array
 
     @property
-    def cost(self) -> float:
-        """Sum of squares, px²."""
+    def rss(self) -> float:
+        """Residual sum of squares, px²."""
         return float(self.residuals @ self.residuals)
 
     @property
@@ -173,7 +177,7 @@ def fit_views(views: Views) -> tuple[Fit, list[list[Fit]]]:
     base = [1] if views.focal_length is not None else [0, 1]
     every = [views.subset([v]) for v in range(len(views.world))]
     fits = [[least_squares_fit(one, *start, base) for start in _starts(one)] for one in every]
-    alone = [sorted(pair, key=lambda fit: fit.cost) for pair in fits]
+    alone = [sorted(pair, key=lambda fit: fit.rss) for pair in fits]
     if len(every) == 1:
         return alone[0][0], alone
     lens = np.median([pair[0].lens for pair in alone], axis=0)
@@ -219,19 +223,21 @@ def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[i
     )
     if found.status == 0 and len(poses) > 1:
         raise ValueError(need)
-    lens, poses = split(found.x)
     residuals, jacobian = evaluate(found.x.tobytes())
-    # The images are equal with −1/(T_op + f) and the opposite tilts, and, for a view, with −M, the
-    # opposite tilts and shifts, and half a turn.
-    behind = -1 if lens[0] < 0 else 1
-    mirrored = np.where((poses[:, 0] < 0) & (given is None), -1, 1)
-    tilts, one = behind * mirrored, np.ones(len(poses))
-    of_poses = np.stack([mirrored, one, tilts, tilts, mirrored, mirrored], axis=1)
-    flip = np.concatenate([[behind, 1, 1, 1, 1], of_poses.ravel()])
-    lens, poses = lens * flip[: len(LENS)], poses * of_poses
-    poses[:, 1] += np.pi * (mirrored < 0)
-    jacobian = jacobian * flip[free]
-    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))
+    lens, poses = split(found.x)
+    # Of the parameters with equal images those with 1/(T_op + f) ≥ 0 and M ≥ 0. The images are
+    # equal with −1/(T_op + f) and the opposite tilts (β, γ), and, for a view, with −M, the opposite
+    # tilts and shifts, and half a turn more.
+    lens_signs, pose_signs = np.ones(len(LENS)), np.ones(poses.shape)
+    if lens[0] < 0:
+        lens_signs[0] = -1
+        pose_signs[:, 2:4] *= -1
+    mirrored = (poses[:, 0] < 0) & (given is None)
+    pose_signs[mirrored] *= [-1, 1, -1, -1, -1, -1]  # of `POSE`
+    lens, poses = lens * lens_signs, poses * pose_signs
+    poses[mirrored, 1] += np.pi
+    poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))  # to (−π, π]
+    jacobian = jacobian * np.concatenate([lens_signs, pose_signs.ravel()])[free]
     return Fit(lens=lens, poses=poses, free=free, residuals=residuals, jacobian=jacobian)
 
 

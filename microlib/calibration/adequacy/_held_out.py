@@ -23,7 +23,7 @@ def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
 
     def squared_error(view: np.intp, lens: Array) -> float:
         one = least_squares_fit(views.subset([view]), lens, poses[[view]], [])
-        return one.cost / len(views.world[view])
+        return one.rss / len(views.world[view])
 
     squares = np.full(len(every), np.inf)
     for v in every:

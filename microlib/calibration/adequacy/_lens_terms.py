@@ -24,7 +24,7 @@ def add_lens_terms(views: Views, fit: Fit) -> Fit:
         with suppress(ValueError):  # a fit that does not converge is no improvement
             trial = least_squares_fit(views, best.lens, best.poses, lens_free + added)
             penalty = len(added) * np.log(len(trial.residuals))
-            if best.cost - trial.cost > penalty * views.residual_variance(trial):
+            if best.rss - trial.rss > penalty * views.residual_variance(trial):
                 best = trial
     return best
 

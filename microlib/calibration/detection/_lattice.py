@@ -295,6 +295,6 @@ def index_basis(points: Array, grid: Index, lattice: str) -> Array:
 
 
 def mean_steps(points: Array, grid: Index) -> Array:
-    """Mean step in the image for each of the two coordinates, (2, 2), px."""
+    """Mean step in the image for each of the two coordinates, (2, 2), one row each, px."""
     design = np.column_stack([grid, np.ones(len(grid))])
     return np.linalg.lstsq(design, points, rcond=None)[0][:2]

@@ -255,7 +255,7 @@ class RobustSearch:
         return max(blurs, key=lambda blur: self._score(view, pose, blur))
 
     def _different(self, poses: list[Array], scores: list[float]) -> list[int]:
-        """Return the numbers of the poses, best first, 3 px of the finest level apart or more."""
+        """Return the numbers of poses over 3 px of the finest level apart, the best first."""
         found: list[int] = []
         for k in sorted(range(len(poses)), key=lambda k: -scores[k]):
             if all(self.distance(poses[k], poses[n]) > 3 * self._scale for n in found):
