@@ -248,9 +248,9 @@ def _shape_error(profiles: NDArray, positions: Array, spacing: float) -> float:
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:
     """Return the local root mean square of the depth after a high-pass filter, µm.
 
-    Four times the difference from a Gaussian mean of 8 px: slopes and constant curvature leave no
-    trace in it, and errors that change within some ten pixels pass. Taken on every second pixel,
-    with the best frame's position where there is no depth.
+    The difference from a Gaussian mean (σ = 8 px) is taken four times in a row, (1 − G)⁴: slopes
+    and curvature leave no trace in it, and errors that change within some ten pixels pass. Taken
+    on every second pixel, with the best frame's position where there is no depth.
     """
     # From the middle of the stack, where float32 has digits to spare.
     rough, frame = depth[::2, ::2], positions[index[::2, ::2]]

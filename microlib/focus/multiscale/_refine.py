@@ -17,7 +17,7 @@ from microlib.focus.multiscale._relief import (
     direction_offsets,
     error_variance,
     find_relief,
-    left_of_period,
+    locking_attenuation,
     peak_locking_bias,
     step_height,
 )
@@ -58,15 +58,15 @@ def refine(
     )
     along, down, weight = direction_offsets(smooth, fits, axis, settings)
     relief, half_difference = find_relief(along, down, weight, settings)
-    left = left_of_period(smooth)
-    locking = peak_locking_bias(smooth, axis) * left
+    attenuation = locking_attenuation(smooth)
+    locking = peak_locking_bias(smooth, axis) * attenuation
     depth = smooth - locking
     variance = error_variance(depth + relief, half_difference, peaks.disagreement, settings)
     drift = np.interp(np.nan_to_num(depth), axis.steps, axis.drift_bias).astype(np.float32)
     # Peak locking depends on texture: up to half of it remains.
     variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
     constant, periodic = axis.shape_error
-    variance += np.float32(constant**2) + np.float32(periodic**2) * left**2
+    variance += np.float32(constant**2) + np.float32(periodic**2) * attenuation**2
     variance += thin_object_error(depth, fits, settings, typical_strength) ** 2
     return Refined(depth=depth, relief=relief, error=np.sqrt(variance))
 

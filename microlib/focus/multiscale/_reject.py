@@ -1,7 +1,8 @@
 """One peak for every second pixel, and the rules that reject it.
 
-All depths are in steps of the averaged frames, all lengths in pixels of the grid of every second
-pixel. The table "one step left out" of benchmarks/focus.py shows what each rule contributes.
+All depths are in steps, which are spacings of the averaged frames; a step of the surface is a jump
+in depth. All lengths are in pixels of the grid of every second pixel. The table "one step left out"
+of benchmarks/focus.py shows what each rule contributes.
 """
 
 from __future__ import annotations
@@ -83,13 +84,13 @@ def find_peaks(fits: Fits, axis: Axis, settings: Settings, typical_strength: flo
     wide = np.where(significance.near_texture, doubled(fits.wide, depth.shape), _NAN)
     low, high, slope = wide_range(wide, settings)
     # The median ignores the edges of what is narrow, where the measures always disagree.
-    apart = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
+    typical_disagreement = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
     sure_detail, probable_detail = detail_masks(fits, axis, settings)
     peaks = Peaks(
         depth=np.where(np.isnan(depth), _NAN, despiked(own)),
         weight=relative(fits.strength, typical_strength),
         disagreement=disagreement,
-        local_disagreement=np.asarray(cv2.blur(apart, (settings.local_window,) * 2), np.float32),
+        local_disagreement=cv2.blur(typical_disagreement, (settings.local_window,) * 2),
         sure_detail=sure_detail,
         probable_detail=probable_detail,
         wide_low=low,
@@ -186,6 +187,7 @@ def detail_masks(
     """Return where the best frame surely and probably has fine detail, as no defocused one has."""
     floor, middle = NoiseFloor.of(axis.noise, settings), len(fits.along) // 2
     fine = fits.along[middle] + fits.down[middle]
+    # The peak of the product is (fine + floor)(coarse + floor), see `measure`.
     coarse = fits.top / (fine + np.float32(floor.fine)) - np.float32(floor.coarse)
     fine, coarse = blur(fine, 1.0), blur(coarse, 1.0)
     limits = settings.sure_detail, settings.probable_detail
@@ -209,7 +211,7 @@ def typical(strength: NDArray) -> float:
 
 
 def contradicted_mask(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
-    """Return where the measures disagree, and no wide depth confirms the peak.
+    """Return where the measures disagree, no wide depth confirms the peak, and no detail is sure.
 
     On ground without texture noise has the largest change in some frame, different in each measure.
     """

@@ -115,10 +115,11 @@ def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
     return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number)
 
 
-def left_of_period(depth: NDArray) -> NDArray[np.float32]:
-    """Return the share of a bias with the period of the frames that a slope leaves.
+def locking_attenuation(depth: NDArray) -> NDArray[np.float32]:
+    """Return the factor by which averaging on a slope attenuates peak locking, 0 to 1.
 
-    The measures and the smoothing average over some 5 px.
+    On a slope of s steps per px the bias is a wave of s periods per px. A Gaussian average, here of
+    σ = 5 px for the measures and the smoothing, leaves exp(−(2π s σ)²/2) of it.
     """
     return np.exp(np.float32(-((2 * np.pi * 5) ** 2) / 2) * _squared_slope(depth))
 

@@ -10,10 +10,10 @@ class Settings:
     """Settings of the default depth.
 
     Lengths along the axis are in steps, which are averaged frames; lengths across it are in px of
-    every second pixel. Where nothing else is said, the reason is the table "twice and half of a
-    setting" of benchmarks/focus.py: some row gets worse by more than 2 %. `min_area`,
-    `probable_detail`, `disagreement_low` and `relief_limit` change none of its few stacks, but
-    narrow bars or two real stacks.
+    every second pixel. A radius is the standard deviation of a Gaussian. Where nothing else is
+    said, the reason is the table "twice and half of a setting" of benchmarks/focus.py: some row
+    gets worse by more than 2 %. `min_area`, `probable_detail`, `disagreement_low` and
+    `relief_limit` change none of its few stacks, but narrow bars or two real stacks.
     """
 
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
