@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -206,7 +206,7 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     a = 60 µm, w_d = 63 µm
     """
     size = scalar("pixel_size", pixel_size, above=0)
-    limits = {"shape": (None,), "least": -MOST_PIXELS, "most": MOST_PIXELS}
+    limits: dict[str, Any] = {"shape": (None,), "least": -MOST_PIXELS, "most": MOST_PIXELS}
     points = as_array("x", x, **limits), as_array("y", y, **limits)
     same_length(("x", "y"), *points)
     across, up, y_down = _part_with_dimple(*points)

@@ -362,11 +362,12 @@ def mean_strain(
 
     Notes
     -----
-    A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1,
-    of which (4.4) keeps the first term, (tan² θ)/2. Both strains use the profile (4.2). The ratio
-    of the exact strain to that of (4.5) is therefore the factor by which the approximation (4.4)
-    alone changes the modulus of (5.2). The exact strain is integrated numerically. Its error is
-    that of rounding for w_d/a up to 1.
+    A ring of width dr is stretched to dr/cos θ. Its strain is 1/cos θ − 1 = √(1 + tan²θ) − 1, of
+    which (4.4) keeps the first term, (tan² θ)/2. The first factor ½ of (4.5) makes the mean over
+    both directions: the hoop strain is zero if no point moves along the radius. Both strains use
+    the profile (4.2). The ratio of the exact strain to that of (4.5) is therefore the factor by
+    which the approximation (4.4) alone changes the modulus of (5.2). The exact strain is integrated
+    numerically. Its error is that of rounding for w_d/a up to 1.
 
     Examples
     --------
