@@ -25,10 +25,10 @@ from microlib.tracking._geometry import (
 from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding
 
 #: Least share of the template's pixels that must lie inside the image for it to be in view.
-LEAST_VISIBLE = 0.25
+MIN_VISIBLE = 0.25
 
 #: Normalized correlation below which an alignment is not the template.
-LEAST_CORRELATION = 0.7
+MIN_CORRELATION = 0.7
 
 
 def _nothing() -> Image:
@@ -77,7 +77,7 @@ class Alignment:
     @property
     def reason(self) -> str:
         """Why the alignment does not count as the template; empty if it does."""
-        low = self.correlation < LEAST_CORRELATION
+        low = self.correlation < MIN_CORRELATION
         return self.failure or ("low correlation" if low else "")
 
 
@@ -156,7 +156,7 @@ class Level:
         for count in range(1, iterations + 1):
             grey, gradient, weight = self.patch(image, pose)
             failed = partial(Alignment, pose, visible=float(weight.mean()), iterations=count)
-            if failed.keywords["visible"] < LEAST_VISIBLE:
+            if failed.keywords["visible"] < MIN_VISIBLE:
                 return failed(failure="out of view")
             rows = self._rows(grey, gradient, weight, gain)
             normal = rows @ rows.T
@@ -210,7 +210,7 @@ class Template:
     sharp: Level
 
     def align(self, image: Image, pose: Array) -> Alignment:
-        """Align from a pose with the smoothed level, and then between the pixels."""
+        """Align from a pose with the smoothed level, and then with the one of half pixels."""
         first = self.smooth.align(image, pose, tolerance=0.5)
         if first.reason:
             return first

@@ -33,7 +33,8 @@ class Track(Tidy):
     homography : ndarray, shape (3, 3)
         Maps px of the template's frame to px of this frame.
     gain, bias : float
-        The frame's grey values are ``gain``·template + ``bias``.
+        The frame's grey values are ``gain``·template + ``bias``; if the light changes differently
+        over the template, those at its middle.
     visible : float
         Share of the template's pixels inside the frame.
     iterations : int

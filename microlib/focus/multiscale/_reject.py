@@ -84,13 +84,13 @@ def find_peaks(fits: Fits, axis: Axis, settings: Settings, typical_strength: flo
     wide = np.where(significance.near_texture, doubled(fits.wide, depth.shape), _NAN)
     low, high, slope = wide_range(wide, settings)
     # The median ignores the edges of what is narrow, where the measures always disagree.
-    typical_disagreement = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
+    local = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
     sure_detail, probable_detail = detail_masks(fits, axis, settings)
     peaks = Peaks(
         depth=np.where(np.isnan(depth), _NAN, despiked(own)),
         weight=relative(fits.strength, typical_strength),
         disagreement=disagreement,
-        local_disagreement=cv2.blur(typical_disagreement, (settings.local_window,) * 2),
+        local_disagreement=np.asarray(cv2.blur(local, (settings.local_window,) * 2), np.float32),
         sure_detail=sure_detail,
         probable_detail=probable_detail,
         wide_low=low,
@@ -115,17 +115,17 @@ def choose_side(
     """Return each pixel's depth on its own side of a step, and the disagreement of both measures.
 
     Next to a step the windows of the product contain the other side as well, and the side with more
-    texture wins. A few pixels away, on the pixel's own side, they do not. Where the edge measure,
-    after medians of `side` px, differs by a jump, the depth of a neighbor is taken that agrees with
-    it to a step.
+    texture wins. A few pixels away, on the pixel's own side, they do not. Where the edge measure is
+    not noise and its depth, after two medians of `side` px, differs by a jump, the depth of that
+    neighbor is taken that agrees with it best, to a step.
     """
-    fine = np.asarray(cv2.medianBlur(edge, side))
-    disagreement = np.abs(depth - fine)
-    steady = cv2.medianBlur(np.abs(edge - fine), 5) < 1
-    fine = np.asarray(cv2.medianBlur(fine, side))
+    once = np.asarray(cv2.medianBlur(edge, side))
+    disagreement = np.abs(depth - once)
+    steady = cv2.medianBlur(np.abs(edge - once), 5) < 1
+    twice = np.asarray(cv2.medianBlur(once, side))
     padded = np.pad(depth, 3, mode="symmetric")
-    rows, cols = np.nonzero(steady & (np.abs(depth - fine) > jump))
-    own, found = fine[rows, cols], depth[rows, cols]
+    rows, cols = np.nonzero(steady & (np.abs(depth - twice) > jump))
+    own, found = twice[rows, cols], depth[rows, cols]
     gap = np.abs(found - own)
     for distance in (1, 3):
         for dy, dx in product((-distance, 0, distance), repeat=2):

@@ -164,9 +164,8 @@ def error_variance(
     # The smoothing may mix both sides of a low step. Beside a high one the error is the
     # disagreement, or its square if that is less: on drawn texture 0.03 steps at a disagreement of
     # 0.2, on photographs 1.0 at 1.2.
-    apart = blur(np.minimum(disagreement, 6), 2.0)
-    apart = np.minimum(apart, apart * apart)
-    variance += np.where(beside < high, 0.17 * beside, apart) ** 2
+    local = blur(np.minimum(disagreement, 6), 2.0)
+    variance += np.where(beside < high, 0.17 * beside, np.minimum(local, local * local)) ** 2
     # At a sharp bend, such as the tip of a cone.
     bent = (full - blur(full, settings.radius)) ** 2
     bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= high] = 0

@@ -53,6 +53,8 @@ class _Disc(BoundaryValueProblem):
         """Scales of the displacement, of the horizontal tension and of the height."""
         load = self.force + np.pi * self.pressure
         rim_stretch = 1 / self.outer
+        # Without pretension w/a grows as (F/(E h a))^⅓, see the closed form of `indent_disc`; the
+        # displacement along the radius grows as the square of the slope.
         height = max(load ** (1 / 3), np.finfo(float).eps)
         if rim_stretch < 1:
             # A slack disc is as deep as its meridian is long, for any small force.

@@ -166,7 +166,7 @@ class RobustSearch:
         starts : list of ndarray, shape (3, 3)
             Poses to begin with.
         fits : list of PhotometricFit
-            Alignments that are complete.
+            Photometric fits from other starts, which compete with those of `starts`.
         """
         settings = self.settings
         scores = [self._score(view, start) for start in starts]
