@@ -278,7 +278,6 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "synthetic.parabolic_cylinder.shape": ((1, 9),),
     "tracking.ESMTracker.track.frame": (np.zeros((20, 30)),),
     "tracking.KalmanFilter.noise": (0.0,),
-    "tracking.track_all.box": ((20, 15, 400, 40),),
 }
 
 
