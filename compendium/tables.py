@@ -57,7 +57,8 @@ def as_printed(name: str) -> HTML:
     key = [f"{sign} {verdict}" for verdict, sign in SIGNS.items() if verdict in verdicts]
     key += [f"{ledger.STAR} depends on something not printed"] * any(one.star for one in claims)
     title = f"{name.replace('-', ' ').capitalize()}. {layout['title']}"
-    told = f"The printed number stands above ours: {', '.join(key)}."
+    above = layout.get("above", "The printed number")
+    told = f"{above} stands above our number: {', '.join(key)}."
     return HTML(
         f'<table class="as-printed"><caption><div><strong>{title}.</strong> {told}</div></caption>'
         f"<thead><tr><td></td>{head}</tr></thead><tbody>{rows}</tbody></table>"
