@@ -330,8 +330,7 @@ class Calibration(Tidy):
             If `text` holds no calibration.
         """
         try:
-            # Release 0.4.0 named the second coefficient like a parameter of the second view.
-            own = json.loads(str(text).replace('"distortion_2"', '"distortion_k2"'))["calibration"]
+            own = json.loads(text)["calibration"]
             own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
             own["views"] = [Microscope(**view) for view in own["views"]]
             own |= {n: tuple(v) for n, v in own.items() if isinstance(v, list)}
