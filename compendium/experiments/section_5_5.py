@@ -209,10 +209,10 @@ def ridge_errors(ridge: Scene, seed: int) -> pd.DataFrame:
         smooth, raw, _ = thesis_depth(frames, ridge.positions)
         default = depth_from_focus(frames, ridge.positions).depth
         errors[name] = {
-            "SML, (3.13)": rms(raw),
-            "and corrected, averaged": rms(smooth),
-            "default": rms(default),
-            "known by default (%)": 100 * float(np.isfinite(default[inner]).mean()),
+            "thesis, before correction": rms(raw),
+            "thesis, corrected and averaged": rms(smooth),
+            "default method": rms(default),
+            "pixels with a default depth (%)": 100 * float(np.isfinite(default[inner]).mean()),
         }
     return pd.DataFrame(errors).T
 
