@@ -255,12 +255,8 @@ def _judged(scene: Scene, finding: Finding) -> Found | None:
     if finding.fit.reason:
         return None
     covariance = scene.search.covariance(finding.fit)
-    if _is_clear(scene, finding.fit, covariance):
-        probability = 1.0
-    elif finding.score < scene.search.settings.evidence:
-        probability = 0.0
-    else:
-        probability = confidence(finding, largest_sigma(covariance))
+    clear = _is_clear(scene, finding.fit, covariance)
+    probability = 1.0 if clear else confidence(finding, largest_sigma(covariance))
     return _found(scene, finding.fit, covariance, probability)
 
 

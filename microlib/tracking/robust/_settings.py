@@ -46,10 +46,6 @@ class Settings:
         Score over that of the best start that such a start needs.
     least_score : float
         Score (nats) that such a start needs; below it no photometric fit is made.
-    evidence : float
-        Score (nats) from which on a pose may be confident although not all blocks agree. Of 75 such
-        poses on development photographs, the right ones had 7 or more. A brick in place of another
-        one had 2.4 to 2.8, and a confidence of up to 0.95 without this limit.
     blurs : tuple of float
         Standard deviations (px) of the blurs of the template.
     bias_splines : int
@@ -74,7 +70,6 @@ class Settings:
     beam: int = 3
     beam_share: float = 0.5
     least_score: float = 1.0
-    evidence: float = 5.0
     blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
     bias_splines: int = 5
     covariance_factor: float = 1.5
