@@ -1,4 +1,4 @@
-"""Errors beside stated uncertainties, on scenes that share no formula with the method."""
+"""Errors beside stated uncertainties, on scenes that other code renders."""
 
 from __future__ import annotations
 
