@@ -164,9 +164,9 @@ def surface_curvature(
     ------
     ValueError
         If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has a unit other
-        than µm in ``attrs["units"]``; if `pixel_size` differs from the coordinates of a map of
-        xarray, which have a unit; if `pixel_size` is not positive, `noise` is negative, or `size`
-        is not an odd whole number of at least 3.
+        than µm in ``attrs["units"]``; if the map is an xarray.DataArray whose coordinates have a
+        unit and another spacing than `pixel_size`; if `pixel_size` is not positive, `noise` is
+        negative, or `size` is not an odd whole number of at least 3.
 
     Warns
     -----
@@ -176,17 +176,18 @@ def surface_curvature(
 
     Notes
     -----
-    The windows (3.15)–(3.19) are applied as in (3.20)–(3.21), with the divisor of (3.19) corrected
-    to 42. The first derivatives are divided by the pixel size and the second derivatives by its
+    With `size` = 7 the windows are (3.15)–(3.19), with the divisor of (3.19) corrected to 42; for
+    another `size` they are computed by the same rules. They are applied as in (3.20)–(3.21). The
+    first derivatives are divided by the pixel size and the second derivatives by its
     square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size, which determines
     the units of H and K and of their thresholds.
 
     The standard errors assume independent errors of the heights. The standard error of a second
     derivative is `noise` times the root of the sum of the squared window coefficients, divided by
-    the square of the pixel size. The errors are propagated to H to first order. They are propagated
-    to K to second order, because on a plane the terms of first order vanish. Errors of the slopes
-    are neglected, because their effect is smaller by the ratio of the window size to the radius of
-    curvature.
+    the square of the pixel size. The standard error of H is computed to first order in these
+    errors. The standard error of K is computed to second order, because on a plane the terms of
+    first order vanish. Errors of the slopes are neglected, because their effect is
+    smaller by the ratio of the window size to the radius of curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

@@ -194,8 +194,8 @@ def modulus_from_image(
     Returns
     -------
     ImageEstimate
-        The `modulus` with its `relative_std` and `interval`, the `dimple` and the `boundary`, and
-        the moduli of other models.
+        The `modulus` with its `relative_std` and `interval`, the `dimple` and the `boundary`.
+        `model_moduli` contains the moduli of other models.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def modulus_from_image(
     Warns
     -----
     SmallSlopeWarning
-        If the dimple is too deep for the small slopes of the point-load model.
+        If the dimple is so deep that its slopes are not small, as (4.2) assumes.
     UserWarning
         As for `microlib.membrane.elastic_modulus`, if the modulus is outside the range of
         membranes.
@@ -269,8 +269,8 @@ def force_from_image(
     Returns
     -------
     ImageEstimate
-        The `force` with its `relative_std` and `interval`, the `dimple` and the `boundary`, and the
-        moduli of other models.
+        The `force` with its `relative_std` and `interval`, the `dimple` and the `boundary`.
+        `model_moduli` contains the moduli of other models.
 
     Raises
     ------

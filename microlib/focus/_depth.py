@@ -51,29 +51,30 @@ def depth_from_focus(
         At least three frames, grey or in color, of 8 or 16 bits or floating point, in any form that
         `microlib.io.read_frames` accepts: an array, a multi-page TIFF or OME-TIFF, a folder or
         file-name pattern of images, a video, or an iterable of images or image files, such as a
-        generator. Color frames are converted to luminance. All frames are held in memory. A dask or
-        zarr array of shape (n, rows, cols) may be larger than the memory and is processed block by
-        block.
+        generator. Color frames are converted to luminance. All frames are held in memory, except
+        those of a dask or zarr array of shape (n, rows, cols). Such an array is processed block by
+        block and may be larger than the memory. The options `progress`, `measure`, `register`,
+        `reduce` and `workers` cannot be used with dask and zarr arrays.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata or
         from an xarray.DataArray.
     spacing : float, optional
-        Distance between adjacent frames, µm, which replaces `positions`. The first frame is at 0.
+        Distance between adjacent frames, µm, given instead of `positions`. The first frame is at 0.
     measure : {MEASURES} or callable
-        Focus measure. The default "multiscale" is the most accurate; "sml" is the thesis'
+        Focus measure. "multiscale" combines several focus measures; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
         same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
     window : int, optional
         Side of the square over which the measure is summed, px, odd; by default 5. Not accepted
-        with "multiscale", whose windows are fixed, and not with a callable.
+        with "multiscale", which chooses its windows itself, and not with a callable.
     workers : int
         Number of threads. The result does not depend on this number. For a dask or zarr array, dask
         distributes the blocks instead.
     register : bool
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
-        The result is aligned with the middle frame. A pixel has no depth if a frame near its focus
-        does not show the pixel.
+        The result is aligned with the middle frame. A pixel has no depth if an
+        aligned frame near the best focus of the pixel does not cover the pixel.
     region : tuple of four ints, optional
         Part of the frames that is used: (x, y, width, height) in px.
     reduce : int
@@ -81,9 +82,7 @@ def depth_from_focus(
     progress : callable, optional
         Function that is called with the number of finished parts of the work and the number of all
         parts. The reading of a frame is one part, and the computation of the depth has as many
-        parts as there are frames. An exception from the function ends the work. The options
-        `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask and zarr
-        arrays.
+        parts as there are frames. An exception from the function ends the work.
 
     Returns
     -------
@@ -105,8 +104,9 @@ def depth_from_focus(
     -----
     UserWarning
         If `register` leaves out frames that show another scene; if frames are left out that are
-        uniform, repeated or of another brightness than those around them; if brightness or position
-        changes from frame to frame and `register` is not set; if frames have black margins.
+        uniform, repeated or of another brightness than those around them; if the brightness changes
+        or the image shifts from frame to frame and `register` is not set; if frames have black
+        margins.
 
     Notes
     -----
@@ -120,9 +120,10 @@ def depth_from_focus(
     peaks are rejected. The functions `correct_spikes` and `smooth_depth` can be applied to the
     result.
 
-    The uncertainty contains the random error and the bias by the shape of the peaks. At a step, it
-    also contains the possibility that the pixel lies on the other side. Where a peak may be noise,
-    the stated uncertainty is that of a uniform distribution over the scan.
+    The uncertainty accounts for the random error and for the bias that the shape of the peaks
+    causes. At a step, it also accounts for the possibility that the pixel lies on the other side.
+    If a pixel keeps a depth although its peak may be noise, the stated uncertainty is that of a
+    uniform distribution over the scan.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 

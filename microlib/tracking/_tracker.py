@@ -23,17 +23,18 @@ _SMOOTHING = 1.25
 class ESMTracker:
     """Track a template through frames by efficient second-order minimization.
 
-    ESM [1]_ [2]_ aligns the template with each frame, from the expected pose. If the blocks of the
-    template do not agree with the frame within the noise, the alignment is continued with a model
-    of smoothly varying light, blur and tone curve, with Tukey's weights [3]_. If this fails, it is
-    repeated from other poses. The page *How the library is built* lists these attempts. The first
-    result that is right with an estimated probability of at least 0.7 is accepted. If there is
-    none, the template is lost. A lost template is searched for in the whole frame, or near the
-    prediction of the Kalman filter.
+    ESM [1]_ [2]_ aligns the template with each frame, starting from the expected pose. If the
+    blocks of the template do not agree with the frame within the noise, the alignment is continued
+    with a model of smoothly varying light, blur and tone curve, with Tukey's weights [3]_. If this
+    fails, it is repeated from other poses. The page *How the library is built* lists these
+    attempts. The first result that is right with an estimated probability of at least 0.7 is
+    accepted. If there is none, the template is lost. A lost template is searched for in the whole
+    frame, or near the prediction of the Kalman filter.
 
     An object that resembles the template lowers the probability. A visible template may therefore
-    be reported as lost. The motion of a periodic texture by nearly a whole period cannot be
-    distinguished from rest.
+    be reported as lost. The motion of a periodic texture by a whole period cannot be
+    distinguished from rest. Motion by nearly a whole period looks like a small motion in the
+    opposite direction.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ class ESMTracker:
         (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height
         − 1.
     motion : {"homography", "affine", "translation"}
-        Group of warps.
+        Kind of transformation between the template and a frame.
     kalman : KalmanFilter, optional
         Filter that predicts where the search in each frame starts. It also limits the region in
         which a lost template is searched for. By default a search starts at the last accepted pose.
@@ -53,7 +54,7 @@ class ESMTracker:
     ValueError
         If the box extends beyond the image or is smaller than 6 px; if the template is flat; if its
         gradient has one direction only, so that it cannot be located; or if its texture is so fine
-        that the smoothing removes it.
+        that the smoothing before the alignment removes it.
 
     References
     ----------
@@ -123,15 +124,15 @@ class ESMTracker:
         Returns
         -------
         Track
-            ``lost`` is true if the template was not found, and ``reason`` states why. The next
-            search then starts from the last accepted pose, or from the prediction of the Kalman
+            ``lost`` is true if the template was not found, and ``reason`` states why. The template
+            is then searched for in the whole next frame, or near the prediction of the Kalman
             filter.
 
         Raises
         ------
         ValueError
             If the frame is not an image of the size of the first frame, or is not finite where the
-            template is searched.
+            template is searched for.
         """
         frame = luminance("frame", frame)
         if frame.shape != self._shape:
