@@ -72,13 +72,14 @@ def calibrate(
 
     Notes
     -----
-    *Focal length.* The image of a plane determines only two combinations of the three lengths, T_op
-    + f and f + d. Without the perspective of a tilted pattern, the image determines only their
-    ratio, which is the magnification. The thesis therefore starts from the f of the manufacturer
-    and computes d = f²/T_op (2.20), because the plane is in focus. This function assumes (2.20),
-    too. It keeps a given `focal_length` fixed. Without `focal_length`, f is estimated, with an
-    uncertainty that increases as the tilt decreases. If 1/(T_op + f) is less than four standard
-    deviations from zero, `undetermined` names f and the angles of the tilt.
+    *Focal length.* The model has three lengths: T_op, f and d, as in chapter 2. The image of a
+    plane determines only two combinations of them, T_op + f and f + d. Without the perspective of a
+    tilted pattern, the image determines only their ratio, which is the magnification. The thesis
+    therefore starts from the f of the manufacturer. The plane is in focus, so the thesis computes d
+    = f²/T_op (2.20). This function assumes (2.20), too. It keeps a given `focal_length` fixed.
+    Without `focal_length`, f is estimated, with an uncertainty that increases as the tilt
+    decreases. If 1/(T_op + f) is less than four standard deviations from zero, the attribute
+    `undetermined` of the result lists f and the angles of the tilt.
 
     *Uncertainty.* The covariance includes the image noise and the correlation of the points of a
     mark. With several views it also includes the errors of the printed pattern, which are the same
@@ -87,16 +88,16 @@ def calibrate(
 
     *Several views* share T_op + f and the distortion. Each view has its own magnification and pose.
     From the second view on, the names of these parameters end in the number of the view. The focal
-    length f is that of the first view. A second distortion coefficient κ₂ ("distortion_k2", 1/µm⁴)
-    and the principal point ("principal_x" and "principal_y", px from the middle of the image) are
-    estimated if they lower the Bayesian information criterion. Let u be the image point of the
-    model with κ alone, in µm from the principal point. With κ₂, the image point is u (1 + κ₂ r⁴),
-    where r = ‖u‖. The principal point of a single view is the middle of the image, as in the
-    thesis.
+    length f is that of the first view. Two additions to the model with one coefficient κ are
+    tested: a second distortion coefficient κ₂ and the principal point. They are kept if they lower
+    the Bayesian information criterion. Their names are "distortion_k2" (1/µm⁴), and "principal_x"
+    and "principal_y" (px from the middle of the image). Let u be the image point of the model with
+    κ alone, in µm from the principal point. With κ₂, the image point is u (1 + κ₂ r⁴), where r =
+    ‖u‖. The principal point of a single view is the middle of the image, as in the thesis.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
-    image. Both tilts are fitted. If the residuals do not separate the two tilts, `undetermined`
-    names "beta" and "gamma".
+    image. The fit is made with both pairs of angles. If the residuals do not show which pair is
+    right, the attribute `undetermined` lists "beta" and "gamma".
 
     Examples
     --------

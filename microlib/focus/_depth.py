@@ -94,11 +94,12 @@ def depth_from_focus(
     Raises
     ------
     ValueError
-        If there are fewer than three frames, or the number of positions differs; if frames differ
-        in size or type, are not images, are not finite, exceed ±10¹⁰, or differ in time or channel
-        instead of focus; if positions are not finite, not strictly monotonic, or not known; if a
-        file cannot be read; if an option is out of range or does not apply to this measure or
-        array; with `register`, if fewer than half of the frames show the same scene.
+        If there are fewer than three frames. If frames differ in size or type, are not images,
+        differ in time or channel instead of focus, or have values that are not finite or exceed
+        ±10¹⁰. If the number of positions differs from that of the frames, or if positions are not
+        finite, not strictly monotonic, or not known. If a file cannot be read. If an option is out
+        of range or does not apply to this measure or array. With `register`, if fewer than half of
+        the frames show the same scene.
 
     Warns
     -----
