@@ -267,8 +267,8 @@ def held_out() -> tuple[Rows, pd.DataFrame]:
             state = "measured" if same else "not measured: its files are others"
             if same:
                 rows |= MEASURES[entry["measure"]](folder, **entry["options"])
-        told = {key: entry[key] for key in ("what", "source", "licence", "sha256")}
-        sources.append({"folder": name} | told | {"state": state})
+        described = {key: entry[key] for key in ("what", "source", "licence", "sha256")}
+        sources.append({"folder": name} | described | {"state": state})
     return rows, pd.DataFrame(sources)
 
 

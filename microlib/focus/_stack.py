@@ -38,7 +38,7 @@ class Stack:
     positions : ndarray of float64, shape (n,)
         Position of each frame, µm.
     numbers : ndarray of int, shape (n,)
-        Number of each frame among those that were read, some of which may be left out.
+        Number of each frame in the source. Frames of the source may be left out of the stack.
     pixel_size, corner
         From the frames' reader.
     """

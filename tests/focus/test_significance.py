@@ -109,10 +109,10 @@ def test_frames_of_a_stack_that_changes_smoothly_or_at_random_are_not_left_out()
     lamps = [0.9**z, 0.5 + 0.05 * z, 0.8 - 0.03 * (z - 4) ** 2, rng.uniform(0.6, 1.0, 9)]
     for lamp in lamps:
         frames = np.rint(lamp[:, None, None] * stack).astype(np.uint8)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             depth_from_focus(frames, z, measure="sml")
-        assert not any("left out" in str(note.message) for note in told)
+        assert not any("left out" in str(note.message) for note in warned)
 
 
 def lens_stack(rng: np.random.Generator, depth: np.ndarray, q: float, rate: float) -> np.ndarray:
