@@ -150,8 +150,8 @@ def surface_curvature(
         `size` − 1 pixels on a side.
     noise : float, optional
         Standard deviation of the height errors, µm. The errors are assumed to be independent from
-        pixel to pixel. Without `noise` the standard errors are NaN. Where the rounding error of the
-        heights is larger than `noise`, the rounding error is used instead.
+        pixel to pixel. Without `noise` the standard errors are NaN. If the rounding error of the
+        floating-point type of `height` is larger than `noise`, the rounding error is used.
 
     Returns
     -------
@@ -176,18 +176,19 @@ def surface_curvature(
 
     Notes
     -----
-    With `size` = 7 the windows are (3.15)–(3.19), with the divisor of (3.19) corrected to 42; for
-    another `size` they are computed by the same rules. They are applied as in (3.20)–(3.21). The
-    first derivatives are divided by the pixel size and the second derivatives by its
-    square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size, which determines
-    the units of H and K and of their thresholds.
+    With `size` = 7 the windows are (3.15)–(3.19), with the divisor of (3.19) corrected to 42. The
+    windows of another size follow from the same rules. The windows are applied to the heights as in
+    (3.20)–(3.21). The first derivatives are divided by the pixel size, and the second derivatives
+    are divided by its square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size,
+    which determines the units of H and K and of their thresholds.
 
     The standard errors assume independent errors of the heights. The standard error of a second
     derivative is `noise` times the root of the sum of the squared window coefficients, divided by
-    the square of the pixel size. The standard error of H is computed to first order in these
-    errors. The standard error of K is computed to second order, because on a plane the terms of
-    first order vanish. Errors of the slopes are neglected, because their effect is
-    smaller by the ratio of the window size to the radius of curvature.
+    the square of the pixel size. The standard error of H is computed to first order in the errors
+    of the second derivatives, and the standard error of K to second order. The second order is
+    needed because the terms of first order vanish on a plane. Errors of the first derivatives are
+    neglected, because their effect is smaller by the ratio of the window size to the radius of
+    curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

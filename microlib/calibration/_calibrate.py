@@ -51,7 +51,7 @@ def calibrate(
         Image points (x, y) of the points in `world`, px. Not needed for a detection, which contains
         the image points.
     pixel_size : float or (float, float)
-        Pitch of the sensor pixels, µm.
+        Size of the sensor pixels, µm.
     pitch : float, optional
         Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
@@ -72,28 +72,36 @@ def calibrate(
 
     Notes
     -----
-    *Focal length.* The model has three lengths: T_op, f and d, as in chapter 2. The image of a
-    plane determines only two combinations of them, T_op + f and f + d. Without the perspective of a
-    tilted pattern, the image determines only their ratio, which is the magnification. The thesis
-    therefore starts from the f of the manufacturer. The plane is in focus, so the thesis computes d
-    = f²/T_op (2.20). This function assumes (2.20), too. It keeps a given `focal_length` fixed.
-    Without `focal_length`, f is estimated, with an uncertainty that increases as the tilt
-    decreases. If 1/(T_op + f) is less than four standard deviations from zero, the attribute
-    `undetermined` of the result lists f and the angles of the tilt.
+    *Focal length.* The model has three lengths, as in chapter 2: the tube length T_op, the focal
+    length f, and the distance d of the object plane from the focal point. The image of a plane
+    determines only two combinations of these lengths, T_op + f and f + d. Without the perspective
+    of a tilted pattern, the image determines only the ratio of the two combinations, which is the
+    magnification. The thesis therefore starts from the f of the manufacturer. The plane is in
+    focus, so the thesis computes d = f²/T_op (2.20). This function assumes (2.20) as well. A given
+    `focal_length` is kept fixed. Without `focal_length`, f is estimated, with an uncertainty that
+    increases as the tilt decreases. If the estimate of 1/(T_op + f) is less than four of its
+    standard deviations above zero, the attribute `undetermined` of the result lists f and the
+    angles of the tilt.
 
-    *Uncertainty.* The covariance includes the image noise and the correlation of the points of a
-    mark. With several views it also includes the errors of the printed pattern, which are the same
-    in all views. If a lack-of-fit test of the residuals has a p-value below 0.1, the covariance
-    also includes the model discrepancy.
+    *Uncertainty.* The covariance includes the image noise. It also includes the correlation of the
+    errors of points that belong to one mark, such as the corners of a square. With several views it
+    also includes the errors of the printed pattern, which are the same in all views. If a
+    lack-of-fit test of the residuals has a p-value below 0.1, the covariance also includes the
+    model discrepancy, which is the smooth part of the residuals that the noise does not explain.
 
-    *Several views* share T_op + f and the distortion. Each view has its own magnification and pose.
-    From the second view on, the names of these parameters end in the number of the view. The focal
-    length f is that of the first view. Two additions to the model with one coefficient κ are
-    tested: a second distortion coefficient κ₂ and the principal point. They are kept if they lower
-    the Bayesian information criterion. Their names are "distortion_k2" (1/µm⁴), and "principal_x"
-    and "principal_y" (px from the middle of the image). Let u be the image point of the model with
-    κ alone, in µm from the principal point. With κ₂, the image point is u (1 + κ₂ r⁴), where r =
-    ‖u‖. The principal point of a single view is the middle of the image, as in the thesis.
+    *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
+    Each view has its own magnification M and its own pose. From the second view on, the names of
+    these parameters end in the number of the view. In focus T_op + f is equal to f (1 + M), so an
+    estimated f differs between views of different magnification. The result contains the f of the
+    first view.
+
+    With several views, two additions to the model with one distortion coefficient κ are tested,
+    first the principal point and then a second coefficient κ₂. An addition is kept if it lowers the
+    Bayesian information criterion. The names of the additional parameters are "distortion_k2"
+    (1/µm⁴), and "principal_x" and "principal_y" (px from the middle of the image). Let u be the
+    image point of the model with κ alone, in µm from the principal point. With κ₂, the image point
+    is u (1 + κ₂ r⁴), where r = ‖u‖. The principal point of a single view is the middle of the
+    image, as in the thesis.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

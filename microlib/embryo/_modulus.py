@@ -185,9 +185,10 @@ def modulus_from_image(
         `microlib.membrane.elastic_modulus`.
     method : {"membrane", "capsule"}
         ``"membrane"`` fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus
-        by (5.2). ``"capsule"`` fits a closed neo-Hookean capsule, its direction and its radius to
-        the whole outline (`microlib.membrane.fit_capsule`). The fit of the capsule takes several
-        seconds, and the outline must contain the widest part of the egg.
+        by (5.2). ``"capsule"`` fits the outline of a closed capsule of rubber-like (neo-Hookean)
+        material to the whole outline (`microlib.membrane.fit_capsule`). The radius of the capsule
+        and the direction of the force are fitted as well. This fit takes several seconds, and the
+        outline must contain the widest part of the egg.
     direction : {"auto", "top", "bottom", "left", "right"}
         Edge of the image through which the probe enters; by default it is detected.
 
@@ -200,15 +201,16 @@ def modulus_from_image(
     Raises
     ------
     ValueError
-        If an argument is out of range, or if `extract_boundary` or `fit_dimple` rejects the image.
+        If an argument is out of range, or if `extract_boundary`, `fit_dimple` or
+        `microlib.membrane.fit_capsule` rejects the image or its outline.
 
     Warns
     -----
     SmallSlopeWarning
-        If the dimple is so deep that its slopes are not small, as (4.2) assumes.
+        If the depth of the dimple exceeds a tenth of its radius: (4.2) and (5.2) assume small
+        slopes. Only with "membrane".
     UserWarning
-        As for `microlib.membrane.elastic_modulus`, if the modulus is outside the range of
-        membranes.
+        If the modulus is below 10⁻⁵ MPa or above 2·10⁵ MPa, which wrong units can cause.
 
     Examples
     --------

@@ -111,32 +111,34 @@ def depth_from_focus(
 
     Notes
     -----
-    "multiscale" assumes that an object has texture, and that the focus measure of a pixel is nearly
-    a Gaussian of its distance from focus, (3.9). Its ten steps and their settings are listed on the
-    page *How the library is built*. The result is smoothed within some 7 px, except at steps of the
-    depth. A depth is NaN where noise alone can cause its peak, where different focus measures
-    contradict each other, and in small isolated regions.
+    "multiscale" assumes that the object has texture, and that the focus measure of a pixel is
+    nearly a Gaussian function of the distance of the pixel from focus. The second assumption
+    follows from (3.9) if the blur is proportional to this distance. The page *How the library is
+    built* lists the ten steps of "multiscale" and their settings. Except at steps of the depth, the
+    depth is smoothed by planes that are fitted within a radius of 7 px. A depth is NaN where noise
+    alone can cause the peak, where different focus measures contradict each other, and in small
+    isolated regions.
 
-    With any other measure, the peak follows from three frames by (3.13), and only insignificant
-    peaks are rejected. The functions `correct_spikes` and `smooth_depth` can be applied to the
-    result.
+    With any other measure, the peak follows from three frames by (3.13). A depth is then NaN where
+    there is no peak or where noise alone can cause the peak. The depth of the result can be passed
+    to `correct_spikes` and `smooth_depth`.
 
-    The uncertainty accounts for the random error and for the bias that the shape of the peaks
-    causes. At a step, it also accounts for the possibility that the pixel lies on the other side.
-    If a pixel keeps a depth although its peak may be noise, the stated uncertainty is that of a
-    uniform distribution over the scan.
+    The uncertainty accounts for the random error, and for the bias that arises where the shape of a
+    peak deviates from a Gaussian. At a step, the uncertainty also accounts for the possibility that
+    the pixel lies on the other side. If a peak may be noise but the pixel keeps its depth, the
+    stated uncertainty is that of a uniform distribution over the scan.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 
-    - Surfaces without texture, if the frames are smoothed, quantized or stored as JPEG: at most 2 %
-      of the pixels on average, and up to 14 % if JPEG frames are resized.
-    - Objects that are narrow in the image, such as bars: 10 % of the pixels at a width of 3 px, 3
-      to 5 % at 4 px, and less than 1 % at 5 px or more.
+    - Surfaces without texture. In tests with smoothed, quantized and JPEG frames, the mean share of
+      such pixels was at most 2 %. In JPEG frames that were resized, the share was up to 14 %.
+    - Objects that are narrow in the image. On bars, the share of such pixels was 10 % at a width of
+      3 px, 3 to 5 % at 4 px, and less than 1 % at 5 px or more.
 
-    A pixel whose best frame is the first or the last is flagged in `at_end`. Such a pixel gets the
-    position of that frame and the uncertainty of a random depth, unless the fit of seven frames
-    finds a peak inside the scan. If several frames have the same maximum, the first of them is
-    used.
+    If the best frame of a pixel is the first or the last frame, the pixel is flagged in `at_end`.
+    The pixel then gets the position of that frame and the uncertainty of a uniform distribution
+    over the scan, unless "multiscale" fits a peak inside the scan. If several frames have the same
+    maximum, the first of these frames is the best frame.
 
     The blocks of a dask array are its chunks if their sides are multiples of 64 px, and chunks of
     1024 px otherwise. Each block is computed with an overlap of 128 px. The RMS difference between

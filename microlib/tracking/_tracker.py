@@ -23,13 +23,16 @@ _SMOOTHING = 1.25
 class ESMTracker:
     """Track a template through frames by efficient second-order minimization.
 
-    ESM [1]_ [2]_ aligns the template with each frame, starting from the expected pose. If the
-    blocks of the template do not agree with the frame within the noise, the alignment is continued
-    with a model of smoothly varying light, blur and tone curve, with Tukey's weights [3]_. If this
-    fails, it is repeated from other poses. The page *How the library is built* lists these
-    attempts. The first result that is right with an estimated probability of at least 0.7 is
-    accepted. If there is none, the template is lost. A lost template is searched for in the whole
-    frame, or near the prediction of the Kalman filter.
+    ESM [1]_ [2]_ aligns the template with each frame, starting from the expected pose. The grey
+    levels of blocks of the template are then compared with the frame. If too many blocks differ
+    from the frame by more than the noise, a photometric model continues the alignment. The model
+    accounts for smoothly varying light, for blur and for a tone curve. Its fit reduces the
+    influence of outliers by Tukey's weights [3]_. If this fit is not accepted, further attempts
+    start from other poses. The page *How the library is built* lists the attempts.
+
+    The first result whose estimated probability of being right is at least 0.7 is accepted. If
+    there is no such result, the template is lost. In the following frames, a lost template is
+    searched for in the whole frame, or near the prediction of the Kalman filter.
 
     An object that resembles the template lowers the probability. A visible template may therefore
     be reported as lost. The motion of a periodic texture by a whole period cannot be
