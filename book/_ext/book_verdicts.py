@@ -68,6 +68,8 @@ def count_class(claim: ledger.Claim) -> str:
         return "settings of the rendered microscopes" if claim.given else "settings and data"
     if claim.star:
         return f"with a star {ledger.STAR}"
+    if claim.verdict == "agrees":
+        return f"{CLASSES[claim.compared]}, without a star"
     if claim.verdict != "cannot tell":
         return CLASSES[claim.compared]
     if claim.undecided:
