@@ -92,7 +92,7 @@ class Claim:
     limit : str
         The predicate that a recomputed number must fulfil for a sentence to hold, ``>= 0.5``.
     bound : str
-        ``lower`` or ``upper``, where the simulation leaves causes out, so that it gives a bound.
+        ``lower`` or ``upper``, where the simulation omits causes of error and gives only a bound.
     tolerance : float
         Largest difference at which arithmetic still agrees, in `unit`.
     reason : str
