@@ -11,8 +11,6 @@ They read files of this project, for which no extension exists.
 from __future__ import annotations
 
 import json
-import re
-import subprocess
 from html import escape
 from pathlib import Path
 from typing import ClassVar
@@ -31,8 +29,6 @@ from sphinx.util.docutils import SphinxDirective
 from compendium import ROOT
 from compendium.figures.style import COLORS, to_svg, use_style
 
-#: A line that imports from `microlib`, and from which of its packages.
-IMPORT = re.compile(r"^\s*(?:from|import) microlib(?:\.| import )(\w+)", re.M)
 RESULTS = ROOT / "benchmarks" / "results"
 MARKERS = "osD^v*"
 
@@ -139,9 +135,9 @@ class Benchmarks(SphinxDirective):
         result += line(
             f"Measured on {machine['date']} at commit {machine['commit']}, on a machine with the "
             f"processor {machine['processor']} and {machine['cores']} cores. The versions were "
-            f"{', '.join(versions)}."
+            f"{', '.join(versions)}. If the code has changed since then, a new run may give "
+            "different numbers."
         )
-        result += line(changes_since(name, machine["commit"].split()[0]))
         if record["note"]:
             self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
         for title, content in record["tables"].items():
@@ -150,20 +146,6 @@ class Benchmarks(SphinxDirective):
             summary = f"<details><summary>Table: {title} ({len(rows)} rows)</summary>"
             result += [raw_html(summary), whole, raw_html("</details>")]
         return [result]
-
-
-def changes_since(name: str, commit: str) -> str:
-    """Say how often what a benchmark measures was changed after the commit that it measured."""
-    file = f"benchmarks/{name}.py"
-    packages = {"_common", *IMPORT.findall((ROOT / file).read_text("utf-8"))}
-    paths = [file, *(f"microlib/{package}{end}" for package in packages for end in ("", ".py"))]
-    command = ["git", "-C", str(ROOT), "rev-list", "--count", f"{commit}..HEAD", "--", *paths]
-    count = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-    if count == "0":
-        return "The measured code has not changed since."
-    times = "1 commit" if count == "1" else f"{count} commits"
-    known = f"has changed in {times} since" if count else "may have changed since"
-    return f"The measured code {known}, so a new run may give different numbers."
 
 
 def setup(app: Sphinx) -> None:

@@ -57,13 +57,12 @@ def dimples() -> dict[str, tuple[float, float]]:
     return {"left": printed_dimple(), "right": right_dimple()}
 
 
-def solve(model: str, radius: float, depth: float, c: float) -> tuple[float, NDArray, NDArray]:
+def solve(
+    model: str, radius: float, depth: float, c: float
+) -> tuple[float, NDArray, NDArray] | None:
     """Return the modulus (MPa) and half the section of a model with that dimple, µm.
 
-    Raises
-    ------
-    ValueError
-        If no capsule has such a dimple.
+    It is None where no capsule has such a dimple.
     """
     if model == "small":
         with warnings.catch_warnings(action="ignore"):
@@ -71,7 +70,10 @@ def solve(model: str, radius: float, depth: float, c: float) -> tuple[float, NDA
         r = np.linspace(c, radius, 40)
         return modulus, r, depth - dimple_profile(r, radius, depth, probe_half_width=c)
     walls = {"thickness": thesis.MEMBRANE["thickness"], "probe_half_width": c}
-    egg = capsule_modulus(thesis.FORCE, radius, depth, radius=EGG, **walls)
+    try:
+        egg = capsule_modulus(thesis.FORCE, radius, depth, radius=EGG, **walls)
+    except ValueError:
+        return None
     seen = (egg.state.r < -REACH[0]) & (egg.state.z > egg.state.z[0] - 1)
     r, z = egg.state.r[seen], egg.state.z[seen] - egg.state.z[0]
     return egg.modulus, r[::5], z[::5]
@@ -87,19 +89,9 @@ def deviation(rim: str, radius: float, r: NDArray, z: NDArray) -> float:
     return np.abs(z - np.interp(side * r, across, height))[r <= radius].max()
 
 
-def attempt(
-    model: str, radius: float, depth: float, c: float
-) -> tuple[float, NDArray, NDArray] | None:
-    """Return what `solve` does, or None where no capsule has such a dimple."""
-    try:
-        return solve(model, radius, depth, c)
-    except ValueError:
-        return None
-
-
 def band_of(model: str, radius: float, depth: float) -> dict[str, object] | None:
     """Return the moduli at both ends of the specified width of the probe, or None without them."""
-    thin, wide = (attempt(model, radius, depth, width / 2) for width in thesis.PROBE_WIDTH_ENDS)
+    thin, wide = (solve(model, radius, depth, width / 2) for width in thesis.PROBE_WIDTH_ENDS)
     if thin is None or wide is None:
         return None
     left, right = on_axis(wide[0]), on_axis(thin[0])
@@ -114,7 +106,7 @@ def states() -> dict[str, dict[str, object]]:
     for rim, size in dimples().items():
         bands = {model: band_of(model, *size) for model in MODELS}
         for c in HALF_WIDTHS:
-            solved = {model: attempt(model, *size, c) for model in MODELS}
+            solved = {model: solve(model, *size, c) for model in MODELS}
             texts = [
                 f"The {PROFILES[model]} deviates from the outline by up to "
                 f"{deviation(rim, size[0], *one[1:]):.0f} µm."
@@ -135,65 +127,34 @@ def states() -> dict[str, dict[str, object]]:
     return found
 
 
-def draw(state: dict) -> str:
-    """Return the drawing of one choice; the script changes what has a ``data-part``."""
-    printed = ledger.claim("table-5.6/E")
-    at, band = on_axis(printed.value), state["band"]
-    ticks = "".join(
-        f'<path d="M{at},{AXIS - 5}v10"/><text x="{at}" y="{AXIS + 22}">{modulus:g}</text>'
-        for modulus in (0.01, 0.1, 1.0, 10.0)
-        for at in (on_axis(modulus),)
-    )
-    rims = ""
-    for rim, (radius, depth) in dimples().items():
-        across = BOTTOM[0] + SCALE * (-radius if rim == "left" else radius)
-        up = BOTTOM[1] - SCALE * depth
-        taken = " taken" if rim == state["rim"] else ""
-        rims += f'<path class="rim{taken}" data-part="{rim}" d="M{across:.1f},{up - 6:.1f}v30"/>'
-        rims += f'<text x="{across:.1f}" y="{up - 12:.1f}">{rim} rim</text>'
-    low_end = f'y="{AXIS + 58}"'
-    return f"""<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-labelledby="front-title">
-<title id="front-title">The printed outline of the dimple, its two rims, the probe and the profile
-of a model. Below, the modulus on a logarithmic axis, the printed number, and the range of the
-modulus for widths of the probe from 42.5 to 57.5 µm.</title>
-<rect class="probe" data-part="probe" x="{state["x"]}" y="8" width="{state["width"]}"
- height="{BOTTOM[1] - 8}"/><path class="outline" d="{path(*outline())}"/>
-<path class="model" data-part="model" d="{state["path"]}"/>{rims}
-<g class="key"><path class="outline" d="M5,150h30"/><text x="40" y="155">printed outline</text>
-<path class="model" d="M170,150h30"/><text x="206" y="155">model</text>
-<rect class="probe" x="275" y="142" width="30" height="14"/>
-<text x="311" y="155">probe, 2c wide</text></g>
-<g data-part="band">
-<rect class="band" x="{band["x"]}" y="{AXIS - 22}" width="{band["width"]}" height="44"/>
-<text x="{WIDTH / 2}" y="{AXIS - 30}">{band["text"]}</text></g>
-<g class="axis"><path d="M{FIRST},{AXIS}H{FIRST + 3 * DECADE}"/>{ticks}</g>
-<path class="printed" d="M{at},{AXIS - 22}v65"/>
-<text x="{at}" {low_end}>printed {printed.printed} MPa</text>
-<text class="key" x="5" {low_end}>modulus E (MPa)</text>
-<circle class="found" data-part="found" cx="{state["at"]}" cy="{AXIS}" r="8"/></svg>"""
-
-
 class FrontFigure(SphinxDirective):
-    def run(self) -> list[nodes.Node]:
-        def choices(legend: str, name: str, words: dict[str, str]) -> str:
-            buttons = "".join(
-                f'<label><input type="radio" name="{name}" value="{value}"'
-                f"{' checked' if value == next(iter(words)) else ''}> {word}</label>"
-                for value, word in words.items()
-            )
-            return f"<fieldset><legend>{legend}</legend>{buttons}</fieldset>"
+    """The figure, by ``_templates/front_figure.html``."""
 
-        first = f"left small {thesis.MEMBRANE['probe_half_width']:g}"
-        ends = f'min="{HALF_WIDTHS[0]}" max="{HALF_WIDTHS[-1]}" step="{np.diff(HALF_WIDTHS)[0]}"'
-        rims = {rim: f"{rim}, a = {size[0]:.0f} µm" for rim, size in dimples().items()}
-        state, text = states()[first], script_json(states())
-        html = f"""<figure class="front-figure">{draw(state)}
-<p class="told" role="status">{state["text"]}</p>
-<form hidden>{choices("Rim", "rim", rims)}{choices("Model", "model", MODELS)}
-<label class="width">Half-width of the probe, c = <output>25</output> µm
-<input type="range" name="width" {ends} value="{first.split()[-1]}"></label></form>
-<script type="application/json">{text}</script></figure>"""
-        return [raw_html(html)]
+    def run(self) -> list[nodes.Node]:
+        printed, half_width = ledger.claim("table-5.6/E"), thesis.MEMBRANE["probe_half_width"]
+        sizes = dimples()
+        rims = [
+            {"name": name, "x": BOTTOM[0] + SCALE * side * radius, "y": BOTTOM[1] - SCALE * depth}
+            for side, (name, (radius, depth)) in zip((-1, 1), sizes.items(), strict=True)
+        ]
+        context = {
+            "width": WIDTH,
+            "height": HEIGHT,
+            "bottom": BOTTOM[1],
+            "axis": AXIS,
+            "ticks": [(on_axis(modulus), f"{modulus:g}") for modulus in (0.01, 0.1, 1.0, 10.0)],
+            "printed": printed.printed,
+            "printed_at": on_axis(printed.value),
+            "outline": path(*outline()),
+            "rims": rims,
+            "buttons": {rim: f"{rim}, a = {size[0]:.0f} µm" for rim, size in sizes.items()},
+            "models": MODELS,
+            "half_width": f"{half_width:g}",
+            "half_widths": HALF_WIDTHS,
+            "state": states()[f"left small {half_width:g}"],
+            "states": script_json(states()),
+        }
+        return [raw_html(self.env.app.builder.templates.render("front_figure.html", context))]
 
 
 def setup(app: Sphinx) -> None:

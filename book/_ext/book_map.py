@@ -139,21 +139,12 @@ def link_functions(names: list[str], docname: str) -> nodes.inline:
     return result
 
 
-def link_pages(item: Item, docname: str) -> nodes.inline:
-    """Return links to the pages that treat an item under their titles, with its verdicts."""
-    result = nodes.inline()
-    for k, label in enumerate(item.pages):
-        options = {"refdomain": "std", "reftype": "ref", "refexplicit": False, "refwarn": True}
-        reference = addnodes.pending_xref("", reftarget=label, refdoc=docname, **options)
-        reference += nodes.inline(label, label)
-        result += [nodes.Text("; ")] if k else []
-        result += reference
-    if not item.pages:
-        result += nodes.Text(item.status or "not treated")
-    if item.claims:
-        labels = dict.fromkeys(ledger.claim(name).label for name in item.claims)
-        result += nodes.Text(f" ({', '.join(labels)})")
-    return result
+def list_pages(item: Item) -> str:
+    """Return links to the pages that treat an item, with its verdicts, in the book's markup."""
+    pages = "; ".join(f"{{ref}}`{label}`" for label in item.pages)
+    labels = dict.fromkeys(ledger.claim(name).label for name in item.claims)
+    verdicts = f" ({', '.join(labels)})" if labels else ""
+    return (pages or item.status or "not treated") + verdicts
 
 
 class Map(SphinxDirective):
@@ -170,7 +161,8 @@ class Map(SphinxDirective):
                 stem, anchor = places[item.id]
                 label = link(self.env, label, f"notebooks/{stem}", anchor)
             if item.kind in TREATED:
-                rows.append([label, item.what, link_pages(item, self.env.docname)])
+                pages = nodes.inline("", "", *self.parse_inline(list_pages(item))[0])
+                rows.append([label, item.what, pages])
                 continue
             state: nodes.Node = nodes.Text(state_of(item))
             if item.erratum:

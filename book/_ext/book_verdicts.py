@@ -8,7 +8,7 @@
 - ``{counts}``: a table of how many claims have which verdict, and for which reason.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
-  those that disagree, by cause; ``{deviations}``: where another rule than 95 % judges.
+  those that disagree, by cause.
 - ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
 
 A number that no notebook recorded is replaced by the note that it was not computed.
@@ -159,34 +159,24 @@ class VerdictMap(SphinxDirective):
     """A bar for each part of the thesis; each piece leads to the claims that it counts."""
 
     def run(self) -> list[nodes.Node]:
-        page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        sorts = [
-            (ledger.part_of(c), c.verdict, facets(c)["star"]) for c in ledger.claims().values()
+        claims = [
+            facets(claim) | {"part": ledger.part_of(claim)} for claim in ledger.claims().values()
         ]
-        counts = Counter(sorts)
-        most = max(Counter(part for part, *_ in sorts).values())
-        rows = []
-        for part in dict.fromkeys(part for part, *_ in sorts):
-            pieces, rest = "", most
+        counts = Counter((one["part"], one["verdict"], one["star"]) for one in claims)
+        totals = Counter(one["part"] for one in claims)
+        parts = []
+        for part, total in totals.items():
+            pieces = []
             for verdict, star in product(ORDER, ("unstarred", "starred")):
                 if count := counts[part, verdict, star]:
                     query = urlencode({"verdict": verdict, "star": star, "part": part.split()[0]})
-                    said = escape(f"{part}: {count} {verdict}, {star}")
-                    pieces += (
-                        f'<a class="verdict-{verdict.replace(" ", "-")} {star}" '
-                        f'style="flex-grow: {count}" href="{page}?{escape(query)}" '
-                        f'title="{said}" aria-label="{said}">{count}</a>'
+                    pieces.append(
+                        {"verdict": verdict, "star": star, "count": count, "query": query}
                     )
-                    rest -= count
-            pieces += f'<span style="flex-grow: {rest}"></span>'
-            rows.append(f"<dt>{part}</dt><dd>{pieces}</dd>")
-        key = "".join(
-            f'<span class="verdict-{verdict.replace(" ", "-")}">{verdict}</span>'
-            for verdict in ORDER
-        )
-        key += f'<span class="starred">{ledger.STAR} depends on something not in the thesis</span>'
-        html = f'<p class="verdict-key">{key}</p><dl>{"".join(rows)}</dl>'
-        return [raw_html(f'<div class="verdict-map">{html}</div>')]
+            parts.append((part, pieces, max(totals.values()) - total))
+        page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
+        context = {"parts": parts, "order": ORDER, "star": ledger.STAR, "page": page}
+        return [raw_html(self.env.app.builder.templates.render("verdict_map.html", context))]
 
 
 class Claims(SphinxDirective):
@@ -247,10 +237,6 @@ def place_of(claim: ledger.Claim) -> tuple[str, str]:
     return f"notebooks/{stem}", anchor
 
 
-def capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def parse_lines(directive: SphinxDirective, lines: list[str], part: nodes.Element) -> nodes.Element:
     """Return a node with the content of lines in the book's own markup."""
     directive.state.nested_parse(StringList(lines, source=directive.name), 0, part)
@@ -286,22 +272,6 @@ class Reaches(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         entries = [*ledger.errata().values(), *ledger.causes().values()]
         lines = [f"- {entry['reaches']}" for entry in entries if "reaches" in entry]
-        return parse_lines(self, lines, nodes.container()).children
-
-
-class Deviations(SphinxDirective):
-    """Every tolerance and limit that is not the general rule, with its reason."""
-
-    def run(self) -> list[nodes.Node]:
-        groups: dict[str, list[ledger.Claim]] = {}
-        for claim in ledger.claims().values():
-            if claim.reason and not claim.reason.startswith("95 %"):
-                rule = f"{capital(claim.rule)}. The reason: {claim.reason}."
-                groups.setdefault(rule, []).append(claim)
-        lines = [
-            f"- *{'; '.join(html_link(c.what, 'claims', f'claim-{c.id}') for c in alike)}.* {rule}"
-            for rule, alike in groups.items()
-        ]
         return parse_lines(self, lines, nodes.container()).children
 
 
@@ -345,7 +315,6 @@ def setup(app: Sphinx) -> None:
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)
-    app.add_directive("deviations", Deviations)
     app.add_directive("errata", Errata)
     app.add_directive("reaches", Reaches)
     app.connect("doctree-read", name_cells)

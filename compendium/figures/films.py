@@ -16,16 +16,8 @@ import numpy as np
 from IPython.display import HTML
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from matplotlib.text import Text
-from numpy.typing import NDArray
 from PIL import Image
-from scipy.interpolate import interp1d
-
-from compendium.experiments.chapter_2_tracking import Target, corners, warped
-from compendium.figures.panels import letter, photograph
-from compendium.figures.style import COLORS
-from microlib.membrane import dimple_profile
 
 #: What one film may weigh.
 MOST_BYTES = 400_000
@@ -99,120 +91,10 @@ def film(
     )
 
 
-def _two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
+def two_panels(height: float, **how: Any) -> tuple[Figure, Any, Any]:
     """Return a figure nearly as wide as the page, of 640 px, with two panels, and the panels."""
     figure = Figure((6.4, height), dpi=100, facecolor="none", layout="constrained")
     return figure, *figure.subplots(1, 2, **how)
-
-
-def film_alignment(target: Target, warps: list[NDArray], **texts: str) -> HTML:
-    """Show ESM converging: the window on the image, and what template and image differ by.
-
-    Parameters
-    ----------
-    target : Target
-        Template, image and true warp.
-    warps : list of ndarray
-        As `align` returns them.
-    **texts : str
-        ``name``, ``alt`` and ``caption`` of `film`.
-    """
-    figure, left, right = _two_panels(3.8)
-    photograph(left, target.image, "image and window")
-    window = left.add_patch(Polygon(corners(warps[0]), fill=False, ec=COLORS["orange"], lw=3))
-    title = "step 0, error 00.00 px"
-    difference = photograph(right, target.template, title, cmap="RdBu_r", vmin=-80, vmax=80)
-    letter((left, right))
-    parts = 4  # pictures from one step to the next
-    steps = np.arange(parts * (len(warps) - 1) + 1) / parts
-    flat = np.reshape(warps, (len(warps), 9))
-    between = interp1d(np.arange(len(warps)), flat, axis=0)(steps).reshape(-1, 3, 3)
-    true = corners(target.warp)
-
-    def draw(k: int) -> None:
-        window.set_xy(corners(between[k]))
-        difference.set_data(warped(target.image, between[k]) - target.template)
-        off = np.linalg.norm(corners(between[k]) - true, axis=1).mean()
-        right.set_title(f"(b) step {k // parts}, error {off:.2f} px", loc="left")
-
-    durations = [900 if k % parts == 0 else 90 for k in range(len(between))]
-    durations[-1] = 2500
-    return film(figure, draw, durations, still=2 * parts, **texts)
-
-
-def film_focus(frames: NDArray, positions: NDArray, depth: NDArray, **texts: str) -> HTML:
-    """Show a focal stack from the ground up, and the heights that are known by then.
-
-    Parameters
-    ----------
-    frames : ndarray, shape (F, H, W)
-        The stack.
-    positions : ndarray, shape (F,)
-        Where each frame was taken, µm.
-    depth : ndarray, shape (H, W)
-        Heights from the whole stack, µm.
-    **texts : str
-        ``name``, ``alt`` and ``caption`` of `film`.
-    """
-    figure, left, right = _two_panels(3.5, sharey=True)
-    frame = photograph(left, frames[0])
-    heights = {"cmap": "viridis", "vmin": positions[0], "vmax": positions[-1]}
-    known = photograph(right, depth, "height found so far", **heights)
-    letter((left, right))
-    right.set(facecolor="#D9D9D9", ylabel="")
-    figure.colorbar(known, ax=right, label="height (µm)")
-    half = np.diff(positions).mean() / 2
-
-    def draw(k: int) -> None:
-        frame.set_data(frames[k])
-        left.set_title(f"(a) frame at d = {positions[k]:.0f} µm", loc="left")
-        known.set_data(np.where(depth <= positions[k] + half, depth, np.nan))
-
-    durations = [450] * len(frames)
-    durations[-1] = 2000
-    return film(figure, draw, durations, still=len(frames) // 2, **texts)
-
-
-def film_dimple(
-    depths: NDArray, forces: NDArray, *, radius: float, half_width: float, **texts: str
-) -> HTML:
-    """Show a probe that presses a dimple and is drawn back, and the force that this takes.
-
-    Parameters
-    ----------
-    depths, forces : ndarray, shape (N,)
-        w_d from 0, µm, and F, µN.
-    radius, half_width : float
-        a and c, µm; the dimple keeps its radius.
-    **texts : str
-        ``name``, ``alt`` and ``caption`` of `film`.
-    """
-    depth = float(depths[-1])
-    figure, section, curve = _two_panels(3.4, width_ratios=(1.5, 1))
-    r = np.linspace(half_width, radius, 200)
-    both = np.r_[-r[::-1], r]
-    (wall,) = section.plot(both, 0 * both, color=COLORS["blue"], lw=3)
-    (probe,) = section.fill([0], [0], color=COLORS["grey"], alpha=0.6, lw=0)
-    section.set(xlabel="distance from the axis r (µm)", ylabel="height (µm)", aspect="equal")
-    section.set(ylim=(-1.2 * depth, 0.9 * depth))
-    curve.plot(depths, forces, color=COLORS["grey"], lw=1.2)
-    (now,) = curve.plot([0], [0], "o", color=COLORS["orange"], ms=10)
-    curve.set(xlabel="dimple depth (µm)", ylabel="force F (µN)")
-    letter((section, curve))
-    turns = 32
-    push = (1 - np.cos(2 * np.pi * np.arange(turns) / turns)) / 2  # there and back
-
-    def draw(k: int) -> None:
-        w = push[k] * depth
-        heights = -dimple_profile(r, radius, w, probe_half_width=half_width) if w else 0 * r
-        wall.set_ydata(np.r_[heights[::-1], heights])
-        edge = [-half_width, half_width]
-        probe.set_xy(np.c_[[*edge, *edge[::-1]], [-w, -w, depth, depth]])
-        force = float(np.interp(w, depths, forces))
-        now.set_data([w], [force])
-        section.set_title(f"(a) pressed by {force:.0f} µN", loc="left")
-
-    return film(figure, draw, [100] * turns, still=turns // 2, **texts)
 
 
 def _webp(picture: Image.Image, **how: object) -> str:

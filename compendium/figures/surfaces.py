@@ -1,4 +1,4 @@
-"""Height maps, surface types and a lens, drawn for chapters 3 and 5."""
+"""Height maps, surface types and a sinking stage, drawn for chapters 3 and 5."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from scipy.ndimage import map_coordinates
 from compendium.figures.data import FOLDER_VARIABLE, show
 from compendium.figures.panels import legend_below, length, letter, photograph
 from compendium.figures.style import COLORS
-from microlib import optics
 from microlib.curvature import HK_NAMES
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
@@ -30,33 +29,6 @@ HK_COLORS = (
     *("#993404", "#EC7014", "#FEC44F"),
 )
 PALETTE = ListedColormap(HK_COLORS)
-
-
-def draw_lens() -> Figure:
-    """Draw figure 3.1: rays from a point in focus and from a nearer one, through a thin lens."""
-    focal, sensor, aperture = 40.0, 100.0, 14.0  # mm
-    focused = float(optics.image_distance(sensor, focal))
-    lens = {"focal_length": focal, "sensor_distance": sensor, "aperture_radius": aperture}
-    figure, axes = plt.subplots(figsize=(6.4, 3.4))
-    points = {"in focus": (focused, "blue"), "too near": (focused - 16, "orange")}
-    for name, (distance, color) in points.items():
-        radius = float(optics.blur_radius(distance, **lens))
-        across = [-distance, 0, sensor]
-        for side, label in ((-1, None), (1, name)):
-            ray = [0, side * aperture, side * radius]
-            axes.plot(across, ray, color=COLORS[color], lw=1.6, label=label)
-        axes.plot([-distance], [0], "o", color=COLORS[color])
-        if radius > 1e-9:
-            length(axes, (sensor + 3, -radius), (sensor + 3, radius), "$2 r_b$", (9, 0))
-    axes.plot([0, 0], [-1.25 * aperture, 1.25 * aperture], color=COLORS["ink"], lw=3)
-    axes.plot([sensor, sensor], [-aperture, aperture], color=COLORS["grey"], lw=3)
-    axes.axhline(0, color=COLORS["grey"], lw=0.8, ls=":")
-    axes.text(0, 1.35 * aperture, "lens", ha="center")
-    axes.text(sensor, 1.08 * aperture, "sensor", ha="center")
-    axes.set(xlabel="distance from the lens (mm)", ylabel="height (mm)")
-    axes.set(xlim=(-75, 120), ylim=(-21, 24))
-    axes.legend(loc="upper left")
-    return figure
 
 
 def draw_sinking_stage() -> Figure:

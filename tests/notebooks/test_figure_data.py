@@ -76,6 +76,16 @@ def test_error_decays_with_cosine_of_camera_rotation(figures: Path) -> None:
         )
 
 
+def test_drawn_rays_meet_by_lens_equation(figures: Path) -> None:
+    """Figure 3.1: f = 40 mm, the sensor at 100 mm, and a lens with a radius of 14 mm."""
+    found = series(figures, "fig-3-1")
+    (object_x, _), at_lens, (image_x, image_y) = found[1, "in focus"]
+    assert 1 / -object_x + 1 / image_x == pytest.approx(1 / 40, rel=1e-5)
+    assert (at_lens.tolist(), image_y) == ([0, 14], pytest.approx(0, abs=1e-6))
+    (object_x, _), _, (_, image_y) = found[1, "too near"]
+    assert image_y == pytest.approx(1400 * (1 / -object_x + 1 / 100 - 1 / 40), rel=1e-5)  # (3.4)
+
+
 def test_defocus_transfer_is_gaussian(figures: Path) -> None:
     """(3.9): the transfer of a Gaussian is exp(−σ² u² / 2)."""
     for (_, name), points in series(figures, "fig-ch3-defocus").items():

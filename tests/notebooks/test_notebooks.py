@@ -107,7 +107,7 @@ def test_compared_claims_are_recorded_with_their_verdict(claims_folder: Path) ->
 
 
 def test_notebooks_have_no_warnings_and_axes_have_units(claims_folder: Path) -> None:
-    """All functions of `compendium.figures` draw for a notebook; sketches name no axis."""
+    """Drawings of the apparatus name no axis."""
     for path in (claims_folder.parent / "notebooks").glob("*.ipynb"):
         outputs = [o for c in nbformat.read(path, as_version=4).cells for o in c.get("outputs", [])]
         assert not [one.text for one in outputs if one.get("name") == "stderr"], path.name
