@@ -36,30 +36,11 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
         moduli = [modulus(states[f"left {model} {c}"]["text"]) for c in widths]
         assert (np.diff(moduli) < 0).all()
     low, high = (recorded[f"5.6/E-{end}"].value for end in ("wide", "thin"))
-    assert modulus(states["left small 30"]["text"]) < low
-    assert low < modulus(states["left small 27.5"]["text"])
-    assert modulus(states["left small 22.5"]["text"]) < high
-    assert high < modulus(states["left small 20"]["text"])
-    drawn = re.search(r"probe 42.5–57.5 µm: ([\d.]+) to\s+([\d.]+) MPa", text)
-    assert drawn
-    assert drawn.groups() == (f"{low:.2f}", f"{high:.2f}")
+    assert f"probe 42.5–57.5 µm: {low:.2f} to {high:.2f} MPa" in text
     # The range belongs to the rim and the model: it is another one for another choice.
-    texts = {name: state["band"]["text"] for name, state in states.items() if state["band"]}
-    assert texts["left small 10"] == texts["left small 50"]
-    assert (
-        len({texts[f"{choice} 10"] for choice in ("left small", "left capsule", "right small")})
-        == 3
-    )
-    for name, state in states.items():
-        if state["band"] is None:
-            assert name.startswith("right capsule"), name
-        else:
-            assert float(re.findall(r"[\d.]+", state["band"]["text"])[0]) > 0
-    # The text has the deviations of both models.
-    assert re.search(r"up to 32 µm.*up to 50 µm", states["left small 25"]["text"])
-    # The rims' radii on the buttons are those of section 5.6.
-    assert f"right, a = {recorded['5.6/right-radius'].value:.0f} µm" in text
-    assert f"left, a = {recorded['table-5.6/a'].value:.0f} µm" in text
+    texts = {name[:10]: state["band"]["text"] for name, state in states.items() if state["band"]}
+    assert set(texts) == {"left small", "left capsu", "right smal"}
+    assert len(set(texts.values())) == 3
     # The model is drawn to the scale of its probe, from the rim at its radius and depth.
     state = states["left small 25"]
     points = np.array([pair.split(",") for pair in state["path"][1:].split()], float)
@@ -93,23 +74,15 @@ def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None
     page.keyboard.press("Tab")  # to the model
     page.keyboard.press("ArrowRight")
     assert agrees() < 1.2
-    assert "0.98 to 1.29 MPa" in figure.locator("[data-part=band]").text_content()
     page.keyboard.press("Tab")  # to the half-width
-    first = figure.locator(".probe").first.get_attribute("width")
     page.keyboard.press("ArrowRight")
     assert figure.locator("output").inner_text() == "27.5"
-    assert float(figure.locator(".probe").first.get_attribute("width")) == pytest.approx(
-        1.1 * float(first), rel=1e-6
-    )
     agrees()
     page.get_by_label("right", exact=False).check()
     assert "No closed capsule" in figure.locator(".told").inner_text()
     assert not figure.locator(".found").is_visible()
     assert not figure.locator("[data-part=band] text").is_visible()
-    assert "taken" in figure.locator("[data-part=right]").get_attribute("class").split()
-    assert "taken" not in figure.locator("[data-part=left]").get_attribute("class").split()
     assert hindrances(page) == []
-    assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
     sizes = figure.locator("svg text").evaluate_all(
         "all => all.map(one => one.getBoundingClientRect().height)"
     )
@@ -124,8 +97,6 @@ def test_front_figure_is_static_without_scripts(browser: Browser, html: Path) ->
     assert figure.locator(".model").first.is_visible()
     assert figure.locator("form").is_hidden()
     assert "E = 1.324 MPa" in figure.locator(".told").inner_text()
-    photographs = page.locator("img[src$='real_board.webp']")
-    assert photographs.count() == 1
     page.close()
 
 
@@ -134,9 +105,6 @@ def test_author_and_title_agree_in_all_files(html: Path) -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
     assert cited["authors"] == [{"name": config["author"]}]
     text = (html / "intro.html").read_text("utf-8")
-    footer = text.partition('class="colophon"')[2]
-    assert config["author"] in footer
-    assert text.count(config["author"].partition(" ")[2]) >= 3  # who made it and how to cite it
     title = config["title"]
     assert f"<h1>{title}" in text
     assert cited["title"] == title

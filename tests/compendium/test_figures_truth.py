@@ -13,9 +13,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
-from compendium.figures import films, style, surfaces
+from compendium.figures import films, style
 from compendium.figures.data import keep_data
-from microlib.curvature import HK_NAMES
 
 
 def test_figure_data_keep_points_images_and_labels(tmp_path: Path) -> None:
@@ -59,18 +58,6 @@ def test_svg_has_two_themes_and_is_reproducible() -> None:
     assert (image.mode, image.size) == ("L", (4, 3))
     grey = np.asarray(image).astype(float)
     np.testing.assert_allclose(grey, 255 * np.arange(12).reshape(3, 4) / 11, atol=1)
-
-
-def test_legend_lists_occurring_types_with_their_colors() -> None:
-    assert len(set(surfaces.HK_COLORS)) == len(surfaces.HK_COLORS) == 1 + len(HK_NAMES)
-    _, axes = plt.subplots()
-    surfaces.draw_labels(axes, np.array([[0, 1], [5, 9]], np.uint8))
-    legend = axes.get_legend()
-    assert [text.get_text() for text in legend.get_texts()] == [
-        f"{k} {HK_NAMES[k]}" for k in (1, 5, 9)
-    ]
-    shown = axes.images[0].to_rgba(axes.images[0].get_array())[[0, 1, 1], [1, 0, 1]]
-    np.testing.assert_allclose(shown, [p.get_facecolor() for p in legend.get_patches()], atol=0.01)
 
 
 def test_film_loops_and_has_still_image() -> None:

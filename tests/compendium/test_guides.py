@@ -8,14 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from compendium import guides
-from compendium.guides import (
-    FOLDER,
-    compare,
-    find_input,
-    manifest,
-    resolve_scales,
-)
+from compendium.guides import FOLDER, compare, find_input, manifest, resolve_scales
 
 EMBRYO = find_input("embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
@@ -78,12 +71,3 @@ def test_compare_without_truth_compares_nothing(tmp_path, capsys):
     other = SETTINGS | {"force": 100.0}
     assert "truth" not in compare(EMBRYO, other, wrong, ALLOWED)
     assert "embryo.png hold for force = 113.75" in capsys.readouterr().out
-
-
-def test_out_folder_is_in_project_unless_given(tmp_path, monkeypatch):
-    """Also where the working folder is that of the notebooks, as in Jupyter."""
-    monkeypatch.setattr(guides, "ROOT", tmp_path / "project")
-    monkeypatch.chdir(tmp_path)
-    assert guides.out_folder("", "focus") == tmp_path / "project" / "build" / "guides" / "focus"
-    assert guides.out_folder("mine", "focus").resolve() == tmp_path / "mine"
-    assert (tmp_path / "mine").is_dir()

@@ -279,15 +279,9 @@ def test_second_run_waits_for_lock(project):
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["7"], 1, "No notebook is called 7; there are 01_first, 06_last."),
         (["-p", "seed", "1"], 1, "-p needs one notebook, got 01_first, 06_last."),
         (["01", "-p", "width", "1", "--output", "/proc/a"], 1, "--output must be a folder that "),
         (["-p", "width", "x", "--output", "a", "01"], 1, "width must be a finite number, got x"),
-        (
-            ["01", "-p", "width", "1", "-p", "width", "2"],
-            1,
-            "width must be given once, got 1.0 and",
-        ),
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
     ],
 )
