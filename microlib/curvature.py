@@ -163,10 +163,10 @@ def surface_curvature(
     Raises
     ------
     ValueError
-        If the map is smaller than 2 `size` − 1 on a side, contains an infinity or has a unit other
-        than µm in ``attrs["units"]``; if the map is an xarray.DataArray whose coordinates have a
-        unit and another spacing than `pixel_size`; if `pixel_size` is not positive, `noise` is
-        negative, or `size` is not an odd whole number of at least 3.
+        If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If the map
+        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``, or with coordinates
+        that have a unit and another spacing than `pixel_size`. If `pixel_size` is not positive,
+        `noise` is negative, or `size` is not an odd whole number of at least 3.
 
     Warns
     -----

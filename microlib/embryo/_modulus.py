@@ -196,7 +196,7 @@ def modulus_from_image(
     -------
     ImageEstimate
         The `modulus` with its `relative_std` and `interval`, the `dimple` and the `boundary`.
-        `model_moduli` contains the moduli of other models.
+        The property `model_moduli` contains the moduli by other models of the same dimple.
 
     Raises
     ------

@@ -48,13 +48,14 @@ def depth_from_focus(
     Parameters
     ----------
     frames : array_like, path, iterable, or dask or zarr array
-        At least three frames, grey or in color, of 8 or 16 bits or floating point, in any form that
-        `microlib.io.read_frames` accepts: an array, a multi-page TIFF or OME-TIFF, a folder or
-        file-name pattern of images, a video, or an iterable of images or image files, such as a
-        generator. Color frames are converted to luminance. All frames are held in memory, except
-        those of a dask or zarr array of shape (n, rows, cols). Such an array is processed block by
-        block and may be larger than the memory. The options `progress`, `measure`, `register`,
-        `reduce` and `workers` cannot be used with dask and zarr arrays.
+        At least three frames, grey or in color, of 8 or 16 bits or floating point. The frames may
+        be an array, a multi-page TIFF or OME-TIFF, a folder or file-name pattern of images, a
+        video, or an iterable of images or image files, such as a generator;
+        `microlib.io.read_frames` describes these forms. Color frames are converted to luminance.
+        All frames are held in memory, except those of a dask or zarr array of shape (n, rows,
+        cols). Such an array is processed block by block and may be larger than the memory. The
+        options `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask
+        and zarr arrays.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata or

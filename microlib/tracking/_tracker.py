@@ -32,7 +32,8 @@ class ESMTracker:
 
     The first result whose estimated probability of being right is at least 0.7 is accepted. If
     there is no such result, the template is lost. In the following frames, a lost template is
-    searched for in the whole frame, or near the prediction of the Kalman filter.
+    searched for in the whole frame. With a Kalman filter, it is searched for near the predicted
+    position.
 
     An object that resembles the template lowers the probability. A visible template may therefore
     be reported as lost. The motion of a periodic texture by a whole period cannot be
@@ -49,15 +50,16 @@ class ESMTracker:
     motion : {"homography", "affine", "translation"}
         Kind of transformation between the template and a frame.
     kalman : KalmanFilter, optional
-        Filter that predicts where the search in each frame starts. It also limits the region in
-        which a lost template is searched for. By default a search starts at the last accepted pose.
+        Filter that predicts where the search in each frame starts. The filter also limits the
+        region in which a lost template is searched for. By default a search starts at the last
+        accepted pose.
 
     Raises
     ------
     ValueError
-        If the box extends beyond the image or is smaller than 6 px; if the template is flat; if its
-        gradient has one direction only, so that it cannot be located; or if its texture is so fine
-        that the smoothing before the alignment removes it.
+        If the box extends beyond the image or is smaller than 6 px. If the template is flat, or its
+        gradient has one direction only: its position is then undetermined. If the texture of the
+        template is so fine that the smoothing before the alignment removes it.
 
     References
     ----------
