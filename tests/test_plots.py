@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import matplotlib as mpl
 import numpy as np
@@ -12,12 +11,9 @@ import pytest
 from matplotlib import pyplot
 from matplotlib.colors import LogNorm, to_rgb
 
-from microlib import synthetic
-from microlib._plots import marks, outline
-from microlib.calibration import Detection, calibrate, detect_circles
+from microlib.calibration import Detection, calibrate
 from microlib.embryo import modulus_from_image
 from microlib.focus import FocusResult
-from microlib.microscope import Microscope
 from microlib.tracking import Track, plot_track
 from tests import fuzz
 
@@ -37,9 +33,9 @@ def hold_photograph(ax, image):
     assert not ax.axison
 
 
-def hold_round(factor, largest):
-    """The largest of 1, 2, 5, 10, … that is not beyond what is wanted."""
-    assert factor == pytest.approx(max(step for step in ROUND if step <= largest))
+def largest_round(value):
+    """Return the largest of 1, 2, 5, 10, … that is not beyond what is wanted."""
+    return max(step for step in ROUND if step <= value)
 
 
 def mapped(pixel_size):
@@ -55,12 +51,10 @@ def mapped(pixel_size):
 @pytest.mark.parametrize(("pixel_size", "unit"), [(3.9, "µm"), (None, "frames"), (350.0, "µm")])
 def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
     found = mapped(pixel_size)
-    axes = found.plot(unit=unit).axes
-    hold_photograph(axes[0], found.all_in_focus)
-    assert axes[0].get_title() == "all in focus"
-    share = f"{100 * 9 * 22 / (31 * 52):.3g}"
+    sharp, height, error, *bars = found.plot(unit=unit).axes
+    hold_photograph(sharp, found.all_in_focus)
     for ax, bar, values, name in zip(
-        axes[1:3], axes[5:3:-1], (found.depth, found.uncertainty), ("height", "uncertainty"),
+        (height, error), bars[::-1], (found.depth, found.uncertainty), ("height", "uncertainty"),
         strict=True,
     ):  # fmt: skip
         (shown,) = ax.images
@@ -69,32 +63,15 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
         assert shown.origin == "upper"
         assert to_rgb(shown.get_cmap().get_bad()) == to_rgb("0.8")
         assert isinstance(shown.norm, LogNorm) == (name == "uncertainty")
-        assert shown.colorbar.ax is bar
         assert (bar.get_ylabel(), shown.colorbar.extend) == (f"{name} ({unit})", "both")
-        assert ax.get_title() == f"{name}, grey: {share} % unknown"
-    # The light comes from the upper left; so steep that slopes show.
-    light = axes[3].images[0].get_array().astype(float)
-    assert light[3:12, 6:16].mean() > 1.2 * light[16:25, 26:36].mean()
-    assert light[:9, 30:].min() > 253
-    slope = np.hypot(*np.gradient(found.depth, pixel_size or 1.0))
-    words = axes[3].get_title().split()
-    assert words[:3] == ["shaded,", "heights", "×"]
-    hold_round(float(words[3]), 1 / np.nanquantile(slope, 0.95))
-    # By Lambert's law, of light at 45° from the upper left; the hole is flat, so not its edge.
-    down, right = np.gradient(float(words[3]) * found.depth, pixel_size or 1.0)
-    lit = (1 + (down + right) / np.sqrt(2)) / np.sqrt(1 + down**2 + right**2)
-    part = np.isfinite(lit) & (light > 5) & (light < 250)  # not where few take the last greys
-    assert np.corrcoef(lit[part], light[part])[0, 1] > 0.999
-    assert words[4:] == ([] if pixel_size else [f"px/{unit}"])
+        assert ax.get_title() == f"{name}, grey: {100 * 9 * 22 / (31 * 52):.3g} % unknown"
     # A bar of a round length, at most a quarter of the width.
-    if pixel_size is None:
-        assert not axes[1].artists
-    for bar in axes[1].artists:
+    assert len(height.artists) == (pixel_size is not None)
+    for bar in height.artists:
         value, of = bar.txt_label.get_text().split()
         (length,) = (part.get_width() * pixel_size for part in bar.size_bar.get_children())
         assert length == pytest.approx(float(value) * {"µm": 1, "mm": 1000}[of])
-        assert (of == "mm") == (length >= 1000)
-        hold_round(length, pixel_size * 52 / 4)
+        assert length == pytest.approx(largest_round(pixel_size * 52 / 4))
     # In axes of one's own the height alone.
     own, ax = pyplot.subplots()
     assert found.plot(ax, unit=unit) is own
@@ -104,48 +81,41 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
 def test_maps_without_a_height_or_an_error_are_drawn():
     found, nothing = mapped(2.0), np.full((31, 52), np.nan)
     assert "100 % unknown" in replace(found, depth=nothing).plot().axes[1].get_title()
-    shown = replace(found, uncertainty=np.zeros((31, 52))).plot().axes[2]
-    assert not isinstance(shown.images[0].norm, LogNorm)
-    assert shown.get_title() == "uncertainty"
+    exact = replace(found, uncertainty=np.zeros((31, 52))).plot().axes[2]
+    assert exact.get_title() == "uncertainty"
 
 
-def test_marks_are_drawn_on_the_photograph():
-    scope = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700)
-    photograph = synthetic.render_circles(scope, pitch=280.0)
-    found = detect_circles(photograph)
-    result = calibrate(found, pitch=280, pixel_size=9.9, focal_length=126000)
-    for figure in (result.plot(found=found, images=photograph), found.plot(image=photograph)):
-        (ax,) = figure.axes
-        hold_photograph(ax, photograph)
-        assert 4 < len(ax.texts) < 40
-    title = result.plot(found=[found]).axes[0].get_title()
-    assert f"{len(found.points)} points\n{result.reprojection.rms:.2g} px rms (red, × " in title
-
-
-@pytest.mark.parametrize("photographs", [True, False])
-def test_each_view_shows_its_marks_and_residuals(photographs):
+@pytest.fixture(scope="module")
+def views():
+    """Return detections of three sizes, their calibration with made residuals, and photographs."""
     rng, found = np.random.default_rng(1), []
     for rows, columns in ((3, 4), (5, 4), (7, 6)):
         grid = np.argwhere(np.ones((columns, rows))) - 2
         points = 30.0 + 11 * grid @ [[1.0, 0.1], [-0.2, 0.7]]
         one, size = np.ones(len(grid)), (150, 90)
         found.append(Detection(points, grid, one, np.arange(len(grid)), grid, np.nan, 1.0, size))
-    images = [rng.integers(9, 90 + 40 * k, (90, 150)) for k in range(3)]
+    result = calibrate(found, pitch=280.0, pixel_size=9.9, focal_length=126000.0)
     residuals = rng.normal(0, 0.1, (74, 2)) * np.repeat([1, 3, 9], [12, 20, 42])[:, None]
-    axes = marks(found, images if photographs else None, residuals).axes
+    images = [rng.integers(9, 90 + 40 * k, (90, 150)) for k in range(3)]
+    return found, replace(result, residuals=residuals), images
+
+
+@pytest.mark.parametrize("photographs", [True, False])
+def test_each_view_shows_its_marks_and_residuals(views, photographs):
+    found, result, images = views
+    axes = result.plot(found=found, images=images if photographs else None).axes
     assert not axes[3].axison
-    ends, factors = (0, 12, 32, 74), []
-    for ax, each, image, part in zip(axes, found, images, pairwise(ends), strict=False):
-        np.testing.assert_array_equal(np.column_stack(ax.lines[0].get_data()), each.points)
-        own = residuals[slice(*part)]
+    apart = np.sqrt(np.prod(np.ptp(found[0].points, axis=0)) / 12)
+    factor = largest_round(apart / np.quantile(np.hypot(*result.residuals.T), 0.95))
+    parts = np.split(result.residuals, [12, 32])
+    for ax, each, image, own in zip(axes, found, images, parts, strict=False):
+        np.testing.assert_array_equal(ax.lines[0].get_xydata(), each.points)
         arrows = ax.collections[0]
         assert (arrows.angles, arrows.scale_units, arrows.scale) == ("xy", "xy", 1)
         np.testing.assert_array_equal(arrows.XY, each.points)
-        seen = np.column_stack([arrows.U, arrows.V])
-        factors.append(float(np.median(seen / own)))
-        np.testing.assert_allclose(seen, factors[-1] * own)
+        np.testing.assert_allclose(np.column_stack([arrows.U, arrows.V]), factor * own)
         rms = np.sqrt(np.mean(np.hypot(*own.T) ** 2))
-        title = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factors[-1]:g})"
+        title = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factor:g})"
         assert ax.get_title() == title
         for text in ax.texts:  # a place in the grid, at its point
             place = np.array(text.get_text().split(","), dtype=int)
@@ -156,45 +126,36 @@ def test_each_view_shows_its_marks_and_residuals(photographs):
             hold_photograph(ax, image)
         else:
             assert (ax.get_xlim(), ax.get_ylim(), ax.get_aspect()) == ((0, 150), (90, 0), 1)
-    apart = np.sqrt(np.prod(np.ptp(found[0].points, axis=0)) / 12)
-    hold_round(factors[0], apart / np.quantile(np.hypot(*residuals.T), 0.95))
-    assert len(set(np.round(factors, 9))) == 1
+
+
+def test_one_photograph_or_axes_show_one_view(views):
+    found, result, images = views
     own, ax = pyplot.subplots()
-    assert marks(found, None, residuals, ax) is own
+    assert result.plot(ax, found=found) is own
     assert [len(line.get_xdata()) for line in ax.lines] == [12]
+    one = replace(result, residuals=result.residuals[:12])
+    for figure in (one.plot(found=found[0], images=images[0]), found[0].plot(image=images[0])):
+        hold_photograph(figure.axes[0], images[0])
 
 
-def test_outline_is_drawn_with_curve_points_and_modulus():
+def test_outline_is_drawn_with_curve_and_modulus():
     sizes = {"pixel_size": 7.75, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
     found = modulus_from_image(fuzz.egg().image, 150.0, **sizes)
     (ax,) = found.plot().axes
     low, high = found.interval
     title = f"modulus {found.modulus:.4g} MPa, 95 % within {low:.4g} … {high:.4g}"
     assert ax.get_title() == title
-    assert [line.get_label() for line in ax.lines] == ["outline", "fitted model"]
-    as_force = replace(found, found="force", dimple=None).plot().axes[0]
-    assert as_force.get_title().startswith(f"force {found.force:.4g} µN, 95 % within")
-    assert [line.get_label() for line in as_force.lines] == ["outline"]
+    outline, curve = ax.lines
     x, y = found.boundary.x, found.boundary.y
-    rims = {"left rim": (200.0, 250.0), "bottom": (230.0, 199.0), "right rim": (270.0, 251.0)}
-    own, ax = pyplot.subplots()
-    assert outline(x, y, found.dimple, rims, "said", ax) is own
-    seen = {line.get_label(): np.transpose(line.get_data()) for line in ax.lines}
-    curve = seen.pop("fitted model")
-    np.testing.assert_allclose(curve[[0, -1], 0], [x.min(), x.max()])
-    np.testing.assert_allclose(curve[:, 1], found.dimple(curve[:, 0]))
-    for name, points in {"outline": np.transpose([x, y]), **rims}.items():
-        np.testing.assert_array_equal(seen.pop(name), np.atleast_2d(points))
-    assert not seen
-    assert [text.get_text() for text in ax.get_legend().texts] == [
-        line.get_label() for line in ax.lines
-    ]
+    np.testing.assert_array_equal(outline.get_xydata(), np.transpose([x, y]))
+    across, up = curve.get_data()
+    np.testing.assert_allclose(across[[0, -1]], [x.min(), x.max()])
+    np.testing.assert_allclose(up, found.dimple(across))
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (px)", "y, up (px)")
     assert not ax.yaxis_inverted()
 
 
-@pytest.mark.parametrize("timed", [True, False])
-@pytest.mark.parametrize("micrometers", [True, False])
+@pytest.mark.parametrize(("timed", "micrometers"), [(True, False), (False, True)])
 def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     """The part is lost in the first and in the fourth frame."""
     image = np.random.default_rng(0).uniform(3.0, 90.0, (120, 170))
@@ -202,22 +163,18 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     starts, rows = [(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)], []
     for k, start in enumerate(starts):
         lost = k in (0, 3)
-        track = Track(**fuzz.TRACK | {"corners": box + start, "lost": lost})
-        rows.append(track.to_dict())
+        rows.append(Track(**fuzz.TRACK | {"corners": box + start, "lost": lost}).to_dict())
         way = (None, None) if lost else (1.7 * (start[0] - 70), 1.7 * (start[1] - 60))
         rows[-1] |= {"time_s": k / 8} if timed else {}
         rows[-1] |= dict(zip(("x_um", "y_um"), way, strict=True)) if micrometers else {}
-    table, before = pd.DataFrame(rows), pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
     way, against = plot_track(table, image).axes
-    pd.testing.assert_frame_equal(table, before)
     hold_photograph(way, image)
     middle = np.add(starts, (9.5, 4.5))
     gaps = np.where(np.isin(np.arange(7), (0, 3))[:, None], np.nan, middle)
-    drawn = [np.transpose(line.get_data()).astype(float) for line in way.lines]
-    for seen, wanted in zip(
-        drawn, (gaps, box[[0, 1, 2, 3, 0]] + starts[1], gaps[-1:]), strict=True
-    ):
-        np.testing.assert_array_equal(seen, wanted)
+    wanted = (gaps, box[[0, 1, 2, 3, 0]] + starts[1], gaps[-1:])
+    for line, points in zip(way.lines, wanted, strict=True):
+        np.testing.assert_array_equal(line.get_xydata().astype(float), points)
     # Twice the box's sides are seen about the way, inside the frame.
     assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
     assert way.get_ylim() == (middle[1, 1] + 18, -0.5)
@@ -232,4 +189,3 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     assert against.get_ylabel() == f"displacement from the start ({'µm' if micrometers else 'px'})"
     own, ax = pyplot.subplots()
     assert plot_track(table[1:3], image, ax) is own
-    assert ax.get_title() == "path"

@@ -11,7 +11,7 @@ from microlib._plots._axes import new_axes, rounded_down, show_image
 
 
 def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
-    """Draw a FocusResult: all-in-focus image, height, uncertainty and a shaded view.
+    """Draw a FocusResult: all-in-focus image, height and uncertainty.
 
     With `ax` only the height is drawn. Lengths along the image are in px where the pixel size is
     not known. Return the figure.
@@ -19,12 +19,11 @@ def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
     depth = np.asarray(found.depth)
     rows, columns = depth.shape
     if ax is None:
-        axes = new_axes(2, 2, 5.5, 0.4 + 5 * rows / columns).ravel()
+        axes = new_axes(1, 3, 5.5, 0.4 + 5 * rows / columns)[0]
         show_image(axes[0], found.all_in_focus)
         axes[0].set_title("all in focus")
         uncertainty = np.asarray(found.uncertainty)
         _map(axes[2], uncertainty, "magma", f"uncertainty ({unit})", logarithmic=True)
-        _shaded(axes[3], depth, found.pixel_size, unit)
         ax = axes[1]
     _map(ax, depth, "viridis", f"height ({unit})")
     if found.pixel_size:
@@ -52,22 +51,6 @@ def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = 
     unknown = 1 - len(known) / values.size
     ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.3g} % unknown' if unknown else ''}")
     ax.set_axis_off()
-
-
-def _shaded(ax: Any, depth: NDArray, pixel_size: float | None, unit: str) -> None:
-    """Show the surface in light from the upper left, magnified so that slopes are visible."""
-    from matplotlib.colors import LightSource
-
-    known, size = np.isfinite(depth), pixel_size or 1.0
-    slopes = np.hypot(*np.gradient(depth, size)) if min(depth.shape) > 1 else depth
-    steep = np.quantile(slopes[np.isfinite(slopes)], 0.95) if np.isfinite(slopes).any() else 0.0
-    factor = rounded_down(1 / steep) if steep > 0 else 1.0
-    filled = np.where(known, depth, np.median(depth[known]) if known.any() else 0.0)
-    light = LightSource().hillshade(filled, vert_exag=factor, dx=size, dy=size)
-    # Steps would use up the grey levels.
-    low, high = np.quantile(light, [0.02, 0.98])
-    show_image(ax, np.where(known, np.clip(light, low, high), high))
-    ax.set_title(f"shaded, heights × {factor:g}{'' if pixel_size else f' px/{unit}'}")
 
 
 def _scale_bar(ax: Any, pixel_size: float, columns: int) -> None:

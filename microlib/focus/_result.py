@@ -139,12 +139,12 @@ class FocusResult(Tidy):
         return found
 
     def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
-        """Draw the maps by Matplotlib: all in focus, height, uncertainty, and a shaded view.
+        """Draw the maps by Matplotlib: all in focus, height and uncertainty.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            Where to draw the height alone; by default all four are panels of a new figure.
+            Where to draw the height alone; by default all three are panels of a new figure.
         unit : str
             What the positions of the frames were counted in, if not in µm.
 
