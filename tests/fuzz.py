@@ -189,7 +189,6 @@ def stored(value: object) -> dict[str, object]:
 #: Valid arguments, made anew for each call, which the table of a room does not have.
 CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.Calibration": lambda: stored(calibrated()),
-    "calibration._calibration.ErrorSummary.of": lambda: {"differences": grid() / 100},
     "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
     "calibration.Detection": lambda: {
@@ -214,10 +213,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "embryo._boundary.Boundary.without_probe": lambda: {
         "self": outline(), "image": egg().image
-    },
-    "embryo._probe.Probe.axis": lambda: {"self": outline().probe, "y": np.arange(5.0)},
-    "embryo._probe.Probe.half_width_at": lambda: {
-        "self": outline().probe, "y": np.arange(5.0)
     },
     "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
     "focus.depth_from_focus": lambda: {

@@ -76,7 +76,7 @@ ANY_SHAPE = (
     *(f"membrane.{name}.*" for name in (
         "elastic_modulus", "indentation_force", "dimple_depth", "dimple_profile",
         "membrane_stress", "mean_strain", "viscoelastic_force")),
-    "embryo.GaussianSum.*.x", "embryo._probe.*", "embryo._dimple.*",
+    "embryo.GaussianSum.*.x", "embryo._dimple.*",
     "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
     "microscope.distort.points", "microscope.undistort.points", "*.pixel_size",
     "servoing.Stage.rounded.position", "servoing.point_jacobian.depth",

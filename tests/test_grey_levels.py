@@ -12,7 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from microlib import calibration, embryo, focus, synthetic, tracking
 from tests import fuzz
@@ -29,21 +29,6 @@ def relief() -> np.ndarray:
     texture = synthetic.mixed_texture((56, 68), 5)
     texture[40:50, 5:25] = 240
     return synthetic.focal_stack(texture, height, POSITIONS, blur_rate=0.6, noise=2.0, rng=6)
-
-
-@cache
-def board(kind: str) -> np.ndarray:
-    """A board seen at an angle, drawn by sampling, without the library's renderer and models."""
-    v, u = np.indices((800, 1040)) / 4
-    x, y = (u - 125) / 27, (v - 103) / 27
-    w = 1 + 0.012 * x - 0.009 * y
-    x, y = (np.cos(0.13) * x + np.sin(0.13) * y) / w, (np.cos(0.13) * y - np.sin(0.13) * x) / w
-    across, along = np.clip(np.round(x), -3, 3), np.clip(np.round(y), -2, 2)
-    x, y = np.abs(x - across), np.abs(y - along)
-    dark = np.maximum(x, y) < 0.26 if kind == "squares" else np.hypot(x, y) < 0.27
-    image = np.where(dark, 60.0, 190.0).reshape(200, 4, 260, 4).mean(axis=(1, 3))
-    noise = np.random.default_rng(8).normal(0, 2, image.shape)
-    return np.clip(gaussian_filter(image, 0.9) + noise, 0, 255).astype(np.uint8)
 
 
 def texture_frame(k: int) -> np.ndarray:
@@ -78,8 +63,8 @@ def depth_by(measure: str) -> Callable[[float], np.ndarray]:
 
 #: What is read of an image whose levels are so many times those of 8 bits; px or µm.
 READ: dict[str, Callable[[float], np.ndarray]] = {
-    "circles": lambda unit: calibration.detect_circles(seen(board("circles"), unit)).points,
-    "squares": lambda unit: calibration.detect_squares(seen(board("squares"), unit)).points,
+    "circles": lambda unit: calibration.detect_circles(seen(fuzz.circles(), unit)).points,
+    "squares": lambda unit: calibration.detect_squares(seen(fuzz.squares(), unit)).points,
     "ruler": lambda unit: np.array(
         calibration.detect_micrometer(seen(fuzz.lines(), unit)).um_per_pixel(10.0)
     ),

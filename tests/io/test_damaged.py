@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import logging
 import struct
 import zlib
 from pathlib import Path
@@ -138,7 +137,6 @@ def test_wrong_file_is_rejected_by_name_page_and_fault(stack, tmp_path, write, w
     ("name", "content", "words"),
     [
         ("a.png", b"", "a.png" + NO_IMAGE),
-        ("a.png", b"no image", "a.png" + NO_IMAGE),
         ("a.mp4", b"no film", r"a\.mp4: not a video"),
         ("a.gif", b"GIF89a", r"a\.gif: not a TIFF"),
         *(("a.tif", head, r"a\.tif") for head in (b"", b"no TIFF", b"II*\0", b"II*\0 cut off")),
@@ -245,9 +243,7 @@ def test_page_with_zeroed_data_is_rejected(tmp_path, compression, share):
     rejects(file_of(path, content), r"page 1 of .*a\.tif cannot be read")
 
 
-@pytest.mark.parametrize("level", [logging.NOTSET, logging.CRITICAL])
-def test_broken_chain_of_pages_is_rejected(stack, tmp_path, level):
-    """Also where the log of tifffile, from which this is known, is silenced."""
+def test_broken_chain_of_pages_is_rejected(stack, tmp_path):
     path = tmp_path / "a.tif"
     for frame in stack[:5]:
         tiff(path, frame, append=True, metadata=None)
@@ -256,12 +252,7 @@ def test_broken_chain_of_pages_is_rejected(stack, tmp_path, level):
         at += 2 + 12 * struct.unpack("<H", path.read_bytes()[at : at + 2])[0]
     content = bytearray(path.read_bytes())
     struct.pack_into("<I", content, at, len(content) + 1000)
-    log = logging.getLogger("tifffile")
-    before, log.level = log.level, level
-    try:
-        rejects(file_of(path, content), r"a\.tif: it is damaged behind page 2")
-    finally:
-        log.level = before
+    rejects(file_of(path, content), r"a\.tif: it is damaged behind page 2")
 
 
 @pytest.mark.skipif(bool(importlib.util.find_spec("imagecodecs")), reason="it decodes JPEG 2000")

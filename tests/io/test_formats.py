@@ -193,20 +193,6 @@ def test_any_file_of_an_ome_tiff_of_many_opens_all(stack, tmp_path):
     assert reader.positions == pytest.approx(3.5 * np.arange(COUNT))
 
 
-def test_unreadable_vendor_tag_is_ignored(stack, tmp_path):
-    """MetaMorph's, of a time that is 0, as Bruker writes it: tifffile logs it."""
-    path, at = tmp_path / "a.tif", 8
-    frame = stack[0].copy()
-    frame[0, :16] = 0
-    for _ in range(2):  # the tag points to zeros in the picture, whose place is then known
-        tags = [(33628, "I", 4, (16, at, 17, at), True), (33629, "2I", 1, (1, 1), True)]
-        tiff(path, frame, extratags=tags, photometric="minisblack")
-        with tifffile.TiffFile(path) as file:
-            at = file.pages[0].dataoffsets[0]
-    for source in (path, [path]):
-        assert_frames(source, frame[None])
-
-
 def test_png_with_alpha_is_read_without_it(stack, tmp_path):
     Image.fromarray(np.stack([stack[0], 255 - stack[0]], axis=-1)).save(tmp_path / "a.png")
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), stack[0])

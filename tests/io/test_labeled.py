@@ -78,13 +78,6 @@ def test_names_of_dimensions_can_be_upper_case():
     np.testing.assert_array_equal(np.stack(list(read_frames(large))), frames.to_numpy())
 
 
-def test_labeled_pixels_that_are_not_square_give_a_warning():
-    frames = labeled()
-    wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
-    with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
-        assert read_frames(wide).pixel_size is None
-
-
 def test_coordinates_that_number_pixels_are_no_scale():
     frames = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
     assert read_frames(frames).pixel_size is None
