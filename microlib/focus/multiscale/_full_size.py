@@ -86,9 +86,10 @@ def _fit_block(
     own, disagreement = choose_side(despiked(depth, 5), edges, 5, settings.jump)
     own = despiked(own)
     height = blur(main.top, 2.0)
-    highest = cv2.dilate(height, np.ones((settings.recover_window,) * 2, np.uint8))
-    clear = height > settings.recover_height * highest
-    clear &= cv2.medianBlur(disagreement, 5) < settings.recover_distance
+    highest = cv2.dilate(height, np.ones((2 * settings.local_window - 1,) * 2, np.uint8))
+    # A rejected depth returns where the edge measure confirms it, and its peak is none of a halo.
+    clear = height > settings.faint * highest
+    clear &= cv2.medianBlur(disagreement, 5) < settings.agreement
     # A depth that none around has needs the same evidence as a rejected one.
     expected = known & (low <= own) & (own <= high)
     accepted = np.where(expected | clear, own, np.float32(np.nan))

@@ -150,15 +150,15 @@ def wide_is_better(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
     unknown           any                 any
     1.2 steps beyond  agree               not even probable
     1.2 steps beyond  may disagree        not for sure
-    replace_gap       clearly disagree    not for sure
+    agreement beyond  clearly disagree    not for sure
     ================  ==================  ===============
     """
     disagreement = peaks.local_disagreement
-    may_disagree = disagreement > settings.disagreement_low
-    clearly_disagree = disagreement > settings.disagreement_high
+    may_disagree = disagreement > settings.disagreement / 2
+    clearly_disagree = disagreement > settings.disagreement
     defocused = ~np.where(may_disagree, peaks.sure_detail, peaks.probable_detail)
     contradicts = peaks.beyond_wide(1.2)
-    contradicts |= clearly_disagree & peaks.beyond_wide(settings.replace_gap)
+    contradicts |= clearly_disagree & peaks.beyond_wide(settings.agreement)
     unknown = np.isnan(peaks.depth)
     return np.isfinite(peaks.wide_low) & (unknown | (contradicts & defocused))
 
@@ -190,8 +190,10 @@ def detail_masks(
     # The peak of the product is (fine + floor)(coarse + floor), see `measure`.
     coarse = fits.top / (fine + np.float32(floor.fine)) - np.float32(floor.coarse)
     fine, coarse = blur(fine, 1.0), blur(coarse, 1.0)
-    limits = settings.sure_detail, settings.probable_detail
-    sure, probable = (fine - snr * floor.fine > ratio * coarse for ratio, snr in limits)
+    ratio, snr = settings.sure_detail
+    sure, probable = (
+        fine - share * snr * floor.fine > share * ratio * coarse for share in (1, 0.5)
+    )
     return sure, probable
 
 
@@ -215,7 +217,7 @@ def contradicted_mask(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
 
     On ground without texture noise has the largest change in some frame, different in each measure.
     """
-    disagree = peaks.local_disagreement > settings.disagreement_high
+    disagree = peaks.local_disagreement > settings.disagreement
     unconfirmed = peaks.beyond_wide(settings.reject_gap) | np.isnan(peaks.wide_low)
     return disagree & unconfirmed & ~peaks.sure_detail
 
@@ -236,7 +238,7 @@ def halo_mask(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
     for k in np.unique(level[far]):
         near = (np.abs(depth - k) <= 1).astype(np.float32)
         theirs, share = blur(near * weight, radius), blur(near, radius)
-        halo |= (level == k) & (theirs < settings.halo_height * around * share)
+        halo |= (level == k) & (theirs < settings.faint * around * share)
     return halo & far & ~peaks.sure_detail
 
 
@@ -246,7 +248,8 @@ def speck_mask(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
     unknown, part = np.iinfo(np.int16).min, 64
     level = np.clip(part * (peaks.depth + 0.5) + unknown + 1, unknown + 1, -unknown - 1)
     level = np.where(np.isnan(peaks.depth), unknown, level).astype(np.int16)
-    cv2.filterSpeckles(level, unknown, settings.min_area, part * settings.jump)
+    area = round(np.pi * settings.neighborhood**2 / 2)
+    cv2.filterSpeckles(level, unknown, area, part * settings.jump)
     return np.asarray(level == unknown)
 
 

@@ -29,8 +29,8 @@ def direction_offsets(
     depth: NDArray, fits: Fits, axis: Axis, settings: Settings
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Return the depths by each direction less a smoothed depth, and their common weight."""
-    limit, level = settings.relief_limit, np.nan_to_num(depth)
-    near = np.isfinite(depth) & (np.abs(fits.depth - depth) < settings.inlier_distance)
+    limit, level = settings.jump, np.nan_to_num(depth)
+    near = np.isfinite(depth) & (np.abs(fits.depth - depth) < limit)
     offsets, strengths = [], []
     for window in (fits.along, fits.down):
         own, strength = fit_peaks(window, fits.best, axis.steps, near=level, within=limit)

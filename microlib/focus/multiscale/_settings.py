@@ -12,8 +12,8 @@ class Settings:
     Lengths along the axis are in steps, which are averaged frames; lengths across it are in px of
     every second pixel. A radius is the standard deviation of a Gaussian. Where nothing else is
     said, the reason is the table "twice and half of a setting" of benchmarks/focus.py: some row
-    gets worse by more than 2 %. `min_area`, `probable_detail`, `disagreement_low` and
-    `relief_limit` change none of its few stacks, but narrow bars or two real stacks.
+    gets worse by more than 5 %. `mtf_correction` and `sure_detail` change less there, but relief of
+    focus_depth.py, and narrow bars.
     """
 
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
@@ -31,49 +31,39 @@ class Settings:
     edge_mean: float = 2.0
     #: Side of the wide window, in every fourth pixel: wider than the halo of a strong edge.
     wide: int = 13
-    #: Difference in depth that is a step: nothing is smoothed beyond it.
+    #: Difference in depth that is a step: nothing is smoothed beyond it, and relief is less.
     jump: float = 1.5
-    #: Radius within which half of the pixels need a depth.
+    #: Radius within which half of the pixels need a depth. A separate piece of surface of half the
+    #: area of such a circle, or less, is removed.
     neighborhood: float = 3.0
-    #: Radius of the halo of a strong edge, in which its blur exceeds weak texture, and the share of
-    #: the mean peak height around that the height of a halo stays below.
+    #: Radius of the halo of a strong edge, in which its blur exceeds weak texture.
     halo_radius: float = 5.0
-    halo_height: float = 0.2
-    #: Area up to which a separate piece of surface is removed, px.
-    min_area: int = 12
-    #: Side of the square over which wide depths and disagreements are compared.
+    #: Share of the height of the peaks around below which a peak may be a halo.
+    faint: float = 0.2
+    #: Side of the square over which wide depths, disagreements and heights are compared.
     local_window: int = 11
-    #: Mean disagreement of the depths by two measures from which a peak may be a halo, and from
-    #: which it is none of the surface: on narrow bars 95 % of the pixels lie below 0.16, and 95 %
+    #: Mean disagreement of the depths by two measures from which a peak is none of the surface.
+    #: From half of it, it may be a halo: on narrow bars 95 % of the pixels lie below 0.16, and 95 %
     #: of a real board's halos above 0.15.
-    disagreement_low: float = 0.16
-    disagreement_high: float = 0.3
+    disagreement: float = 0.3
+    #: Distance within which depths by two measures are the same, so that one confirms the other.
+    agreement: float = 0.4
     #: Difference from the wide depth from which a depth with high disagreement is wrong, if the
-    #: wide depth replaces it, and if nothing does.
-    replace_gap: float = 0.4
+    #: wide depth does not replace it.
     reject_gap: float = 0.8
     #: Ratio of fine to coarse measure, and the fine one's signal-to-noise ratio, that no defocused
-    #: detail has: for sure, as JPEG leaves sharp traces, too, and probably. 95 % of the halos of
-    #: five photographs and of lettering have ratios below 0.4, of faint texture above 0.6.
+    #: detail has for sure, as JPEG leaves sharp traces, too. It has half of them with little
+    #: probability: 95 % of the halos of five photographs and of lettering have ratios below 0.4, of
+    #: faint texture above 0.6.
     sure_detail: tuple[float, float] = (0.8, 8.0)
-    probable_detail: tuple[float, float] = (0.4, 4.0)
     #: Slope of the wide depth, steps per px, from which its window spans both sides of a step.
     wide_slope: float = 0.5
     #: Weight of a depth by the wide window, whose error is some seven times the others'.
     wide_weight: float = 0.02
     #: Radius of the smoothing by planes.
     radius: float = 3.5
-    #: Distance from the smoothed depth within which a pixel's own depth is used for relief, and the
-    #: largest relief: with a whole jump for both, a real board is 8 % worse.
-    inlier_distance: float = 1.2
-    relief_limit: float = 1.6
     #: Signal-to-noise ratio of a covariance from which relief is restored, and is so in full.
     snr_low: float = 2.5
     snr_high: float = 4.5
     #: Logarithm of a measure's attenuation of relief, over its mean squared slope, px².
     mtf_correction: float = 0.35
-    #: At full size a rejected depth returns where it is within this distance of that by the edge
-    #: measure, and its peak above this share of the highest in a square of this side, px.
-    recover_distance: float = 0.4
-    recover_height: float = 0.3
-    recover_window: int = 21
