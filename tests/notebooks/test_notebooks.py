@@ -18,7 +18,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
 #: What has no unit, as an axis names it.
 PURE = {
     "grey value", "step", "frame", "loop gain g", "recomputed / reported", "focus measure F",
-    "focus measure, of its largest", "depth of the dimple / its radius",
+    "focus measure / its maximum", "depth of the dimple / its radius",
 }  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
 #: Words of every drawing, which mean the figure or the panels at hand; chapter 5 needs none.
