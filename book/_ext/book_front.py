@@ -26,11 +26,11 @@ from microlib.membrane import capsule_modulus, dimple_profile
 HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm of the catalogue
 MODELS = {"small": "small slopes", "capsule": "closed capsule"}
 PROFILES = {"small": "small-slope model", "capsule": "closed capsule"}
-# The drawing, in its own units: as wide as 680 µm, the bottom of the dimple at (280, 130).
-WIDTH, HEIGHT, SCALE, BOTTOM = 480, 305, 480 / 680, (282.0, 130.0)
+# The drawing has 480 units for 680 µm, and the bottom of the dimple at (282, 130).
+SCALE, BOTTOM = 480 / 680, (282.0, 130.0)
 REACH = (-400.0, 280.0)  # µm, what is drawn on both sides of the bottom
-# The logarithmic axis: its height, and where 0.01 MPa and ten times as much stand.
-AXIS, FIRST, DECADE = 235, 30, 140
+# The logarithmic axis: where 0.01 MPa stands, and how far away ten times as much.
+FIRST, DECADE = 30, 140
 
 
 def on_axis(modulus: float) -> float:
@@ -138,10 +138,6 @@ class FrontFigure(SphinxDirective):
             for side, (name, (radius, depth)) in zip((-1, 1), sizes.items(), strict=True)
         ]
         context = {
-            "width": WIDTH,
-            "height": HEIGHT,
-            "bottom": BOTTOM[1],
-            "axis": AXIS,
             "ticks": [(on_axis(modulus), f"{modulus:g}") for modulus in (0.01, 0.1, 1.0, 10.0)],
             "printed": printed.printed,
             "printed_at": on_axis(printed.value),

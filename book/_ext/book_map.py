@@ -41,7 +41,7 @@ FIGURES, PAGES = ROOT / "build" / "figures", ROOT / "book" / "notebooks"
 #: Kinds of entries that pages treat, not functions.
 TREATED = ("section", "promise", "sentence")
 # The numbers with which a caption begins; its title may name other items.
-CAPTION = re.compile(r"\*\*Figures? (\d\.\d+(?:(?:,| and| to|–| )+\d\.\d+)*)")
+CAPTION = re.compile(r"\*\*Figures? \d\.\d+(?:(?:,| and| )+\d\.\d+)*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
@@ -103,8 +103,9 @@ def find_items(notebooks: Path = PAGES) -> dict[str, tuple[str, str]]:
     for path in sorted(notebooks.glob("0[1-6]_*.ipynb")):
         for cell in nbformat.read(path, as_version=4).cells:
             figure = cell.metadata.get("mystnb", {}).get("figure", {})
-            for number in captioned(figure.get("caption", "")):
-                found.setdefault(f"figure-{number}", (path.stem, figure["name"]))
+            if named := CAPTION.match(figure.get("caption", "")):
+                for number in re.findall(r"\d\.\d+", named[0]):
+                    found.setdefault(f"figure-{number}", (path.stem, figure["name"]))
             if cell.cell_type == "markdown":
                 items = [f"equation-{number}" for number in TAG.findall(cell.source)]
                 items += [f"table-{a}.{b}" for a, b in TABLE.findall(cell.source)]
@@ -112,17 +113,6 @@ def find_items(notebooks: Path = PAGES) -> dict[str, tuple[str, str]]:
                 for item in items:
                     found.setdefault(item, (path.stem, nodes.make_id(item)))
     return found
-
-
-def captioned(caption: str) -> list[str]:
-    """Return the thesis' figures that a caption names: ``Figures 5.6 to 5.8`` gives three."""
-    match = CAPTION.match(caption)
-    numbers = re.findall(r"\d\.\d+", match[1]) if match else []
-    if match and re.search(r"to|–", match[1]) and len(numbers) == 2:
-        chapter, first = numbers[0].split(".")
-        last = numbers[1].split(".")[1]
-        return [f"{chapter}.{n}" for n in range(int(first), int(last) + 1)]
-    return numbers
 
 
 def link_functions(names: list[str], docname: str) -> nodes.inline:

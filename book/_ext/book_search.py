@@ -11,8 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-import nbformat
-from book_map import HEADING, PAGES, find_items, read_map
+from book_map import find_items, read_map
 from book_verdicts import printed, records
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -33,13 +32,8 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
             numbers[number].append(entry)
 
     places = find_items()
-    for path in sorted(PAGES.glob("0[1-6]_*.ipynb")):
-        for cell in nbformat.read(path, as_version=4).cells:
-            for number, title in HEADING.findall(cell.source) if cell.cell_type != "code" else []:
-                where = (f"notebooks/{path.stem}", f"section-{number}")
-                add(number, "section", f"Section {number} {title}", *where)
-    for item in read_map().values():
-        if item.id in places and item.kind != "section":  # listed by their headings above
+    for item in sorted(read_map().values(), key=lambda item: item.kind != "section"):
+        if item.id in places:
             stem, anchor = places[item.id]
             text = f"{item.kind.capitalize()} {item.shown}: {item.what}"
             add(item.number, item.kind, text, f"notebooks/{stem}", anchor)

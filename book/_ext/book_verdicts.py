@@ -291,15 +291,12 @@ class Errata(SphinxDirective):
                 # The map makes a link of it.
                 ways += f" Formula: ({name.removeprefix('equation-')})."
             lines = [f"**{entry['where']}.** *{entry['origin']}.*"]
-            lines.append(f"**Printed:** {entry['printed']}")
-            if "reading" in entry:
-                lines.append(f"**A reading without an error:** {entry['reading']}")
-            lines.append(
-                f"**{'Otherwise' if 'reading' in entry else 'Right'}:** {entry['corrected']}"
-            )
-            lines += [entry["proof"], f'<span class="erratum-sources">{ways}</span>']
-            spaced = [part for text in lines for part in (text, "")]
-            result.append(parse_lines(self, spaced, section(f"erratum-{name}", entry["title"])))
+            lines += ["", f"**Printed:** {entry['printed']}", ""]
+            if reading := entry.get("reading"):
+                lines += [f"**A reading without an error:** {reading}", ""]
+            lines += [f"**{'Otherwise' if reading else 'Right'}:** {entry['corrected']}", ""]
+            lines += [entry["proof"], "", f'<span class="erratum-sources">{ways}</span>']
+            result.append(parse_lines(self, lines, section(f"erratum-{name}", entry["title"])))
         return result
 
 
