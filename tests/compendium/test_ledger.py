@@ -171,14 +171,8 @@ def test_mismatch_is_recorded_on_request(monkeypatch):
     ids=lambda claim: claim.id,
 )
 def test_tolerance_rejects_wrong_values(claim):
-    """Zero, the wrong sign and a value two per cent off are all rejected."""
+    """Just within and just outside of the tolerance, on either side."""
     right = float(claim.corrected or claim.printed)
-    for wrong in (0.0, -right, 1.02 * right):
-        # Integers such as labels have half a unit of room; 2 % of a small one stays inside.
-        if wrong == 1.02 * right and claim.printed.lstrip("-").isdigit() and right < 26:
-            wrong = right + 1
-        assert ledger.check_stated_verdict(claim, wrong, wrong, wrong)[1]
-    # Just within and just outside of the tolerance, on either side.
     for share in (0.0, -0.99, 0.99, -1.01, 1.01):
         near = right + share * claim.tolerance
         assert bool(ledger.check_stated_verdict(claim, near, near, near)[1]) == (abs(share) > 1)

@@ -1,10 +1,12 @@
-"""The runner of the notebooks: what it runs again, in which order, and what it leaves."""
+"""The runner of the notebooks: what it runs again, in which order, and what it leaves.
+
+`.ci/hostile.py` kills kernels and runs, fills the disk, and has settings of a user in the way.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +16,6 @@ import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 
 from compendium import run
-from tests.running import alive, until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -136,130 +137,14 @@ def test_failed_notebook_is_listed_and_others_run(project, monkeypatch, capsys):
     ("source", "message"),
     [
         ("import os; print(os.getcwd())", "FAILED: an output names a path of this machine"),
-        (
-            "import os, sys; print('last words', file=sys.__stderr__); os.kill(os.getpid(), 9)",
-            "FAILED in cell source: DeadKernelError: Kernel died",
-        ),
         ("import time; time.sleep(60)", "FAILED in cell source: CellTimeoutError: A cell timed"),
-        ("assert False", "FAILED in cell source: AssertionError:"),
     ],
 )
 def test_failures_are_reported_with_reason(project, monkeypatch, source, message):
-    """Assertions hold although the user's Python leaves them out."""
-    monkeypatch.setenv("PYTHONOPTIMIZE", "1")
     monkeypatch.setattr(run, "CELL_LIMIT", 5)
     write_notebook(project, "01_first", source)
     run.build(["01_first"], 1, force=False)
     assert run.failures()["01_first"].startswith(message)
-    log = (project / "build" / "logs" / "01_first.txt").read_text()
-    assert ("last words" in log) == ("last words" in source)
-
-
-def test_unstartable_kernel_and_full_disk_are_failures(project, monkeypatch, capsys):
-    """A kernel without an interpreter; and a disk on which not even the status has room."""
-    monkeypatch.setattr(sys, "argv", ["run", "01"])
-    assert run.main() == 0
-    monkeypatch.setattr(sys, "argv", ["run", "01", "--force"])
-    with monkeypatch.context() as broken:
-        broken.setattr(sys, "executable", str(project / "missing"))
-        assert run.main() == 1
-    assert "FAILED: FileNotFoundError" in statuses(project)["01_first"]["failed"]
-    with monkeypatch.context() as full:
-        full.setattr(run, "replace_file", lambda *_: (_ for _ in ()).throw(OSError(28, "No space")))
-        assert run.main() == 1
-    assert "01_first: it was not run" in capsys.readouterr().err
-    assert not list((project / "build" / "notebooks").iterdir())  # nothing of an earlier run
-
-
-def test_last_chapter_requires_records_of_others(project):
-    run.build(["06_last"], 1, force=False)
-    assert run.failures()["06_last"].endswith("run 01_first first")
-    run.build(["01_first", "06_last"], 1, force=False)
-    assert run.failures() == {}
-
-
-def test_kernel_ignores_settings_of_user(project, monkeypatch):
-    """A kernel called python3, an IPython profile and a start-up file of the user's."""
-    spec = project / "jupyter" / "kernels" / "python3" / "kernel.json"
-    spec.parent.mkdir(parents=True)
-    spec.write_text(json.dumps({"argv": ["false"], "display_name": "x", "language": "python"}))
-    startup = project / "ipython" / "profile_default" / "startup" / "00.py"
-    startup.parent.mkdir(parents=True)
-    startup.write_text("other_profile = 1")
-    (project / "start.py").write_text("other_start = 1")
-    monkeypatch.setenv("JUPYTER_PATH", str(project / "jupyter"))
-    monkeypatch.setenv("IPYTHONDIR", str(project / "ipython"))
-    monkeypatch.setenv("PYTHONSTARTUP", str(project / "start.py"))
-    monkeypatch.setenv("HOME", "/nonexistent")
-    write_notebook(
-        project, "01_first", "import sys; assert not [n for n in dir() if n.startswith('other_')]\n"
-        f"assert sys.executable == {sys.executable!r}",
-    )  # fmt: skip
-    run.build(["01_first"], 1, force=False)
-    assert run.failures().keys() == {"06_last"}
-    ran = statuses(project)["01_first"]["interpreter"]
-    assert (project / ran).resolve() == Path(sys.executable).resolve()
-
-
-def test_results_of_deleted_notebook_are_removed(project):
-    write_notebook(project, "08_old", CHECKS)
-    run.build(["08_old"], 1, force=False)
-    (project / "notebooks" / "08_old.ipynb").unlink()
-    run.build([], 1, force=False)
-    assert not list((project / "build").glob("*/08_old*"))
-
-
-WAITS = """
-import os, time, pathlib
-pathlib.Path("pid").write_text(str(os.getpid()))
-try:
-    time.sleep(60)
-except KeyboardInterrupt:
-    time.sleep(0.5)  # what stops a stage takes its time
-    pathlib.Path("stopped").touch()
-    raise
-"""
-
-
-def start_waiting(project: Path, *arguments: str) -> tuple[subprocess.Popen, int]:
-    """Run a notebook that waits, in a process of its own; return it with its kernel's number."""
-    write_notebook(project, "01_first", WAITS, 'record = ""\nwidth = 1.0')
-    # A shell lets what it starts in the background ignore Ctrl-C.
-    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "import sys, pathlib; from compendium import run; run.ROOT = pathlib.Path.cwd(); "
-    code += f"run.BUILD = run.ROOT / 'build'; sys.argv = ['run', '01', *{arguments!r}]; "
-    code += "sys.exit(run.main())"
-    path = os.environ | {"PYTHONPATH": str(ROOT)}
-    running = subprocess.Popen([sys.executable, "-c", code], cwd=project, env=path)
-    until(lambda: (project / "pid").exists() and (project / "pid").read_text())
-    return running, int((project / "pid").read_text())
-
-
-def test_killed_run_is_not_up_to_date(project):
-    """Its kernels end with it, and the notebook runs again."""
-    running, kernel = start_waiting(project)
-    running.kill()
-    running.wait()
-    until(lambda: not alive(kernel))
-    assert run.failures()["01_first"] == "FAILED: its run did not end"
-    assert not list((project / "build" / "notebooks").iterdir())
-    write_notebook(project, "01_first", CHECKS)
-    run.build(["01_first"], 1, force=False)
-    assert run.failures().keys() == {"06_last"}
-
-
-@pytest.mark.parametrize(
-    ("number", "arguments"), [(signal.SIGINT, ()), (signal.SIGTERM, ("-p", "width", "2"))]
-)
-def test_interrupt_stops_kernel_before_run_ends(project, number, arguments):
-    running, kernel = start_waiting(project, *arguments)
-    running.send_signal(number)
-    running.send_signal(signal.SIGINT)  # an impatient second one does not break the first off
-    assert running.wait() == 130
-    assert (project / "stopped").exists()
-    assert not alive(kernel)
-    if not arguments:
-        assert run.failures()["01_first"].startswith("FAILED in cell source: KeyboardInterrupt")
 
 
 def test_second_run_waits_for_lock(project):
