@@ -45,7 +45,7 @@ CAPTION = re.compile(r"\*\*Figures? \d\.\d+(?:(?:,| and| )+\d\.\d+)*")
 INITIAL = re.compile(r"^(\s*(?:\.\. \[[\w-]+\] )?)([A-Z]\. [A-Z])")
 TAG = re.compile(r"\\tag\{(\d\.\d+)\}")
 TABLE = re.compile(r"^\(table-(\d)-(\d)\)=", flags=re.M)
-HEADING = re.compile(r"^#+ (\d(?:\.\d+)*) (.+)$", flags=re.M)
+HEADING = re.compile(r"^#+ (\d(?:\.\d+)*) ", flags=re.M)
 # A number of an equation in brackets, or of a figure or table with its word.
 MENTION = re.compile(
     r"\((?P<bare>\d\.\d+)\)|\b(?P<kind>Figure|Table|figure|table) (?P<number>\d\.\d+)(?!\.?\d)"
@@ -109,7 +109,7 @@ def find_items(notebooks: Path = PAGES) -> dict[str, tuple[str, str]]:
             if cell.cell_type == "markdown":
                 items = [f"equation-{number}" for number in TAG.findall(cell.source)]
                 items += [f"table-{a}.{b}" for a, b in TABLE.findall(cell.source)]
-                items += [f"section-{number}" for number, _ in HEADING.findall(cell.source)]
+                items += [f"section-{number}" for number in HEADING.findall(cell.source)]
                 for item in items:
                     found.setdefault(item, (path.stem, nodes.make_id(item)))
     return found

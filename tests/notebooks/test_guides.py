@@ -91,15 +91,6 @@ def test_guide_has_common_structure(guide):
         assert not stored & set(defaults(guide)), "a parameter changes its meaning"
 
 
-@pytest.mark.parametrize(("guide", "parameter", "name"), [(g, *v) for g, v in GUIDES.items()])
-def test_guide_defaults_give_no_scale(guide, parameter, name):
-    values = defaults(guide)
-    assert values[parameter] == ""
-    for scale in manifest()[name]["settings"]:
-        # Of the material's ratio, what keeps its volume is assumed, and said.
-        assert not values[scale] or not np.any(values[scale]) or scale == "poisson_ratio", scale
-
-
 @pytest.mark.parametrize("guide", EVERY)
 def test_executed_guide_compared_its_results_with_truth(guide, claims_folder):
     path = claims_folder.parent / "notebooks" / f"07_guide_{guide}.ipynb"
@@ -117,26 +108,6 @@ def run_here(guide: str, **values: object) -> None:
     names |= {"out": "kept"} | values
     for text in others:
         exec(text, names)
-
-
-@pytest.mark.parametrize(
-    ("guide", "message"),
-    [
-        ("focus_stack", "mine.tif"),
-        ("calibration", "mine.tif"),
-        ("embryo", "path must name an image, got .*mine.tif"),
-        ("tracking", "mine.tif"),
-        ("modulus", "mine.tif must have the columns x and y"),
-        ("servoing", "core must have a camera and an XY stage"),
-    ],
-)
-def test_wrong_file_raises_one_clear_line(tmp_path, monkeypatch, guide, message):
-    if guide == "servoing":
-        pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
-    monkeypatch.chdir(tmp_path)
-    Path("mine.tif").write_bytes(b"II*\0 cut off")
-    with pytest.raises(ValueError, match=message):
-        run_here(guide, **{GUIDES.get(guide, ("configuration",))[0]: "mine.tif"})
 
 
 def copy_input(guide: str, mine: Path) -> dict[str, object]:
