@@ -55,7 +55,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import microlib
-from microlib._common import Tidy
 from microlib.membrane import SmallSlopeWarning
 
 #: By how much each unit is changed: no power of two, and no product of few others.
@@ -220,7 +219,7 @@ def held(value: Any) -> list[str]:
     kind = type(value)
     names = [f.name for f in dataclasses.fields(value)]
     names += [n for n in dir(kind) if isinstance(getattr(kind, n), property)]
-    row = ["to_dict"] if isinstance(value, Tidy) and kind.to_dict is not Tidy.to_dict else []
+    row = ["to_dict"] if "to_dict" in vars(kind) else []
     return [n for n in names if not n.startswith("_")] + row
 
 

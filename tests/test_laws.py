@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from microlib._common import Tidy
 from tests.laws import (
     SAME,
     VIEWS,
@@ -27,7 +26,7 @@ from tests.laws import (
 
 
 @dataclass(frozen=True)
-class Fall(Tidy):
+class Fall:
     speed: float
     covariance: np.ndarray
     name: str = "fall"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import stat
 from pathlib import Path
 
 import cv2
@@ -97,3 +100,48 @@ def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dt
     assert pixels["PhysicalSizeXUnit"] == "µm"
     if dtype is not np.float64:  # whose NaN are no picture
         assert io.read_frames(path).pixel_size == pytest.approx(0.65)
+
+
+@pytest.mark.parametrize("fault", [None, OSError("No space left"), KeyboardInterrupt()])
+def test_file_is_replaced_when_the_new_one_is_complete(tmp_path, monkeypatch, fault):
+    path = tmp_path / "a.ome.tif"
+    path.write_text("old")
+
+    def write(file: Path, *_: object, **__: object) -> None:
+        assert file.parent == tmp_path  # on the same disk, or the move would be a copy
+        assert file.suffix == ".tif"  # by which writers choose the format
+        assert file.name.startswith(".")  # which a reader's *.tif does not find
+        file.write_text("new")
+        assert path.read_text() == "old"
+        if fault:
+            raise fault
+
+    monkeypatch.setattr(tifffile, "imwrite", write)
+    with pytest.raises(type(fault)) if fault else contextlib.nullcontext():
+        io.write_height_tiff(path, np.ones((2, 3)), pixel_size=1.0)
+    assert path.read_text() == ("old" if fault else "new")
+    assert list(tmp_path.iterdir()) == [path]
+    for wrong, words in ((tmp_path / "no" / "a.tif", "lie in an existing"), (".", "name a file")):
+        with pytest.raises(ValueError, match=f"^path must {words}.*, got .*{Path(wrong).parent}"):
+            io.write_height_tiff(wrong, np.ones((2, 3)), pixel_size=1.0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="of POSIX")
+def test_replacing_a_file_keeps_mode_and_symlink(tmp_path):
+    (tmp_path / "disk").mkdir()
+    real, link = tmp_path / "disk" / "a.ply", tmp_path / "a.ply"
+    link.symlink_to(real)
+    before = os.umask(0o027)
+    try:
+        for mode in (0o600, 0o664, 0o444):
+            real.write_text("old")
+            real.chmod(mode)
+            io.write_ply(link, np.ones((2, 2)), pixel_size=1.0)
+            assert stat.S_IMODE(real.stat().st_mode) == mode
+            assert real.read_bytes()[:3] == b"ply"
+            real.unlink()
+        io.write_ply(tmp_path / "new.ply", np.ones((2, 2)), pixel_size=1.0)
+        assert stat.S_IMODE((tmp_path / "new.ply").stat().st_mode) == 0o640
+    finally:
+        os.umask(before)
+    assert link.is_symlink()
