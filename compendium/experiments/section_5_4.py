@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -111,69 +112,14 @@ OTHER_READINGS = {
 }
 
 
-def close_loop(
-    zoom: str,
-    path: NDArray,
-    jacobian: NDArray,
-    shake: NDArray,
-    *,
-    saturation: float | NDArray,
-    latency: float | NDArray,
-    start: ArrayLike | None = None,
-    push: ArrayLike = 0.0,
-    blind: ArrayLike = False,
-) -> tuple[NDArray, NDArray]:
-    """Close the visual loop with the controller (2.28) over N runs at once.
-
-    The loop of `microlib.servoing.simulate`, for a stage without lag and a latency below a frame.
-
-    Parameters
-    ----------
-    zoom : str
-        ``1X`` or ``4X``.
-    path : ndarray, shape (K, 2)
-        References, px.
-    jacobian : ndarray, shape (N, 2, 2)
-        True px/µm; the controller knows the nominal one.
-    shake : ndarray, shape (N, K, 2)
-        Error of each measurement, px.
-    saturation, latency : float or ndarray, shape (N, 1)
-        Largest speed, µm/s, and time from an exposure until its command takes effect, s.
-    start : array_like, shape (2,) or (N, 2), optional
-        First feature, px; the first reference by default.
-    push : array_like, broadcast to (N, K, 2), optional
-        How the stage jumps before each exposure, µm.
-    blind : array_like of bool, broadcast to (N, K), optional
-        Frames without a measurement: the stage keeps its speed, the last measurement is repeated.
-
-    Returns
-    -------
-    measured, command : ndarray, shape (N, K, 2)
-        Features, px, and velocities, µm/s.
-    """
-    gain = servoing.OptimalController(nominal_jacobian(zoom), **LAW).gain
-    push = np.broadcast_to(push, shake.shape)
-    lost = np.broadcast_to(np.asarray(blind)[..., None], shake.shape)
-    measured = shake + (path[0] if start is None else np.asarray(start)[..., None, :])
-    command = np.empty_like(measured)
-    position = velocity = np.zeros((len(shake), 2))
-    for k in range(len(path)):
-        position = position + push[:, k]
-        at = np.rint(position / thesis.STAGE_STEP) * thesis.STAGE_STEP
-        measured[:, k] += np.einsum("nij,nj->ni", jacobian, at)
-        error = measured[:, k] - path[min(k + 1, len(path) - 1)]
-        wanted = np.clip(-error @ gain.T, -saturation, saturation)
-        if k and lost[:, k].any():
-            measured[:, k] = np.where(lost[:, k], measured[:, k - 1], measured[:, k])
-            wanted = np.where(lost[:, k], velocity, wanted)
-        position = position + latency * velocity + (thesis.FRAME_INTERVAL - latency) * wanted
-        command[:, k] = velocity = wanted
-    return measured, command
-
-
 def nominal_jacobian(zoom: str) -> NDArray:
     """Return px/µm as the controller knows them."""
     return np.eye(2) / thesis.effective_pixel(zoom)
+
+
+def thesis_controller(zoom: str) -> servoing.OptimalController:
+    """Return the controller (2.28) with the weights of §5.4."""
+    return servoing.OptimalController(nominal_jacobian(zoom), **LAW)
 
 
 def drawn_jacobian(zoom: str, rng: np.random.Generator, assumed: Assumed) -> NDArray:
@@ -238,56 +184,63 @@ class Workstation:
         """Return the jitter at a zoom, px."""
         return self.jitter * (self.assumed.shakier if zoom == "4X" else 1.0)
 
-    def runs(
-        self, zoom: str, path: NDArray, draws: int, start: ArrayLike | None = None
-    ) -> tuple[NDArray, NDArray]:
-        """Return what `draws` runs measure and command, as `close_loop`."""
-        generators = [np.random.default_rng([self.seed, draw]) for draw in range(draws)]
-        jacobians = np.array([drawn_jacobian(zoom, rng, self.assumed) for rng in generators])
-        normal = np.array([rng.standard_normal(path.shape) for rng in generators])
-        limits = {"saturation": self.saturation[zoom], "latency": self.assumed.latency}
-        return close_loop(zoom, path, jacobians, self.shake(zoom) * normal, start=start, **limits)
+    def apparatus(self, zoom: str, latency: float | None = None) -> dict[str, Any]:
+        """Return the stage and the camera, with a latency (s) that may be another."""
+        late = self.assumed.latency if latency is None else latency
+        return {
+            "stage": servoing.Stage(self.saturation[zoom], step=thesis.STAGE_STEP),
+            "camera": servoing.Camera(thesis.FRAME_INTERVAL, late, self.shake(zoom)),
+        }
 
-    def simulate(self, controller: Any, zoom: str, path: NDArray, draw: int, **how: Any) -> Any:
-        """Run the library's simulation with the draws of one of `runs`, and with a latency that
-        may be another, s."""
-        rng = np.random.default_rng([self.seed, draw])
-        latency = how.pop("latency", self.assumed.latency)
+    def runs(
+        self,
+        zoom: str,
+        path: NDArray,
+        draws: int,
+        *,
+        start: ArrayLike | None = None,
+        controller: Any = None,
+        latency: float | None = None,
+    ) -> Any:
+        """Simulate `draws` runs at once, each with its own jitter and calibration.
+
+        The controller is that of the thesis if no other is given.
+        """
+        generators = [np.random.default_rng([self.seed, draw]) for draw in range(draws)]
         return servoing.simulate(
-            controller,
+            controller or thesis_controller(zoom),
             path,
-            jacobian=drawn_jacobian(zoom, rng, self.assumed),
-            stage=servoing.Stage(saturation=self.saturation[zoom], step=thesis.STAGE_STEP),
-            camera=servoing.Camera(thesis.FRAME_INTERVAL, latency, self.shake(zoom)),
-            rng=rng,
-            **how,
+            jacobian=[drawn_jacobian(zoom, rng, self.assumed) for rng in generators],
+            rng=generators,
+            start=start,
+            **self.apparatus(zoom, latency),
         )
 
     def path_errors(self, zoom: str, name: str, draws: int) -> NDArray:
         """Return `PATH_RESULTS` along one of `PATHS`, a row each draw, µm."""
         path = self.path(name, zoom)
-        return path_errors(zoom, path, self.runs(zoom, path, draws)[0])
+        return path_errors(zoom, path, self.runs(zoom, path, draws).measured)
 
     def steps(self, zoom: str, draws: int) -> NDArray:
         """Return `STEP_RESULTS` of steps of 50 px, a row each draw, s and µm."""
-        measured, _ = self.runs(zoom, STEP_PATH, draws, (0.0, 0.0))
+        measured = self.runs(zoom, STEP_PATH, draws, start=(0.0, 0.0)).measured
         ahead = [np.random.default_rng([self.seed, draw, 1]).random() for draw in range(draws)]
         return step_errors(zoom, measured, ahead, self.assumed.band)
 
 
-def settling_times(
-    zoom: str, saturation: ArrayLike, latency: ArrayLike, band: float
-) -> NDArray[np.float64]:
-    """Return settling times of a step without jitter, s, for N largest speeds or N latencies.
-
-    NaN where the step never settles.
-    """
-    speeds, late = (np.reshape(a, (-1, 1)) for a in np.broadcast_arrays(saturation, latency))
-    jacobian = np.broadcast_to(nominal_jacobian(zoom), (len(speeds), 2, 2))
-    still = np.zeros((len(speeds), *STEP_PATH.shape))
-    how: dict[str, Any] = {"saturation": speeds, "latency": late, "start": (0.0, 0.0)}
-    measured, _ = close_loop(zoom, STEP_PATH, jacobian, still, **how)
-    return step_errors(zoom, measured, 0.5, band)[:, 0]
+@cache
+def settling_time(zoom: str, saturation: float, latency: float, band: float) -> float:
+    """Return the settling time of a step without jitter, s; NaN if it never settles."""
+    station = Workstation({zoom: saturation}, 0.0, {}, 0)
+    run = servoing.simulate(
+        thesis_controller(zoom),
+        STEP_PATH,
+        jacobian=nominal_jacobian(zoom),
+        rng=0,
+        start=(0.0, 0.0),
+        **station.apparatus(zoom, latency),
+    )
+    return float(step_errors(zoom, run.measured[None], 0.5, band)[0, 0])
 
 
 def nearest(values: NDArray, times: ArrayLike, printed: float) -> float:
@@ -360,11 +313,11 @@ def identify(seed: int, assumed: Assumed = ASSUMED) -> Workstation:
     printed = {zoom: claim(f"table-5.3/{zoom}/settling-time").value for zoom in thesis.ZOOMS}
     saturation = {}
     for zoom in thesis.ZOOMS:
-        times = settling_times(zoom, SPEEDS, assumed.latency, assumed.band)
+        times = [settling_time(zoom, v, assumed.latency, assumed.band) for v in SPEEDS]
         saturation[zoom] = nearest(SPEEDS, times, printed[zoom])
     if assumed.one_speed:
         saturation["4X"] = saturation["1X"]
-        times = settling_times("4X", saturation["4X"], LATENCIES, assumed.band)
+        times = [settling_time("4X", saturation["4X"], v, assumed.band) for v in LATENCIES]
         assumed = replace(assumed, latency=nearest(LATENCIES, times, printed["4X"]))
     jitters, speeds = np.arange(0.0, 0.26, 0.05), np.arange(10.0, 51.0, 5.0)  # px, px/s
     found = Workstation(saturation, 0.1, {}, seed, assumed)
@@ -513,8 +466,16 @@ def over_images(
         track = tracker.track(frame(feature + away - begin, rng))
         return np.full(2, np.nan) if track.lost else track.center - origin
 
-    controller = servoing.OptimalController(nominal_jacobian(zoom), **LAW)
-    return station.simulate(controller, zoom, path, 0, start=begin, observer=observer)
+    drawn = np.random.default_rng([station.seed, 0])
+    return servoing.simulate(
+        thesis_controller(zoom),
+        path,
+        jacobian=drawn_jacobian(zoom, drawn, station.assumed),
+        rng=drawn,
+        start=begin,
+        observer=observer,
+        **station.apparatus(zoom),
+    )
 
 
 def error_left(zoom: str, unit: float) -> float:
@@ -539,7 +500,8 @@ def largest_error_in_frame(station: Workstation) -> float:
         path = PATHS["circle"](speed, 1.0, 1.0)
         for latency in {reading.latency for reading in OTHER_READINGS.values()}:
             at = replace(station, assumed=replace(ASSUMED, latency=latency))
-            errors.append(path_errors("1X", path, at.runs("1X", path, 1)[0], ahead=0)[0, 0])
+            measured = at.runs("1X", path, 1).measured
+            errors.append(path_errors("1X", path, measured, ahead=0)[0, 0])
     return float(max(errors))
 
 
@@ -550,7 +512,7 @@ def saturated_share(station: Workstation, draws: int) -> float:
     """
     shares = []
     for zoom in thesis.ZOOMS:
-        _, command = station.runs(zoom, STEP_PATH, draws, (0.0, 0.0))
+        command = station.runs(zoom, STEP_PATH, draws, start=(0.0, 0.0)).command
         at_limit = (np.abs(command) >= station.saturation[zoom]).all(axis=2)
         held = at_limit.argmin(axis=1) * thesis.FRAME_INTERVAL
         shares.append(held / station.steps(zoom, draws)[:, 0])

@@ -7,7 +7,6 @@ numbers.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,10 +17,11 @@ from compendium.experiments.section_5_4 import (
     PATH_RESULTS,
     PATHS,
     Workstation,
-    close_loop,
     nominal_jacobian,
     printed_path,
+    thesis_controller,
 )
+from microlib.servoing import simulate
 
 #: Shares of the frames in which something rare happens.
 _RATES = (0.02, 0.05, 0.1, 0.2)
@@ -77,26 +77,70 @@ def disturbed(
     shake = jitter[:, None, None] * rng.standard_normal(shape)
     event = rng.random(shape[:2]) < values[:, :1]
     extra = values[:, 1, None, None] * rng.standard_normal(shape) * event[:, :, None]
-    pixel = thesis.effective_pixel(zoom)
-    added: dict[str, Any] = {}
+    pixel, jacobian = thesis.effective_pixel(zoom), nominal_jacobian(zoom)
+    start, lost = path[0], np.zeros(shape[:2], bool)
     if label == "bursts of image noise":
         shake = shake + extra
     elif label == "stage noise":
         shake = shake + extra / pixel
     elif label == "jumps of the stage":
-        added = {"push": extra}
+        shake = shake + extra.cumsum(axis=1) @ jacobian.T
     elif label == "begun beside the start":
-        added = {"start": path[0] + extra[:, 0] / pixel}
+        start = path[0] + extra[:, 0] / pixel
     elif label.startswith("frames"):
         event[:, 0] = False  # the first frame is seen
-        added = {"blind": event}
-    added |= {"saturation": station.saturation[zoom], "latency": station.assumed.latency}
-    jacobian = np.broadcast_to(nominal_jacobian(zoom), (len(values), 2, 2))
-    measured, _ = close_loop(zoom, path, jacobian, shake, **added)
+        lost = event
+    measured = measure(station, zoom, path, shake, start, lost)
     distance = pixel * np.linalg.norm(measured[:, :-1] - path[1:], axis=2)
     if label == "frames dropped":  # they are missing from the log
         distance[event[:, :-1]] = np.nan
     return np.column_stack([np.nanmean(distance, axis=1), np.nanstd(distance, axis=1)])
+
+
+def measure(
+    station: Workstation, zoom: str, path: NDArray, shake: NDArray, start: NDArray, lost: NDArray
+) -> NDArray:
+    """Return the measured features of N runs with given errors of each measurement, px.
+
+    In a lost frame the stage keeps its speed, and the measurement before it is repeated.
+
+    Parameters
+    ----------
+    station : Workstation
+        The apparatus; its calibration is taken as exact.
+    zoom : str
+        ``1X`` or ``4X``.
+    path : ndarray, shape (K, 2)
+        References, px.
+    shake : ndarray, shape (N, K, 2)
+        Errors of the measurements, px.
+    start : ndarray, shape (2,) or (N, 2)
+        First feature, px.
+    lost : ndarray of bool, shape (N, K)
+        Frames without a measurement.
+    """
+    control = thesis_controller(zoom)
+    errors = iter(np.where(lost[..., None], np.nan, shake).swapaxes(0, 1))
+    speed = np.zeros((len(shake), 2))
+
+    def keep_speed(k: int, measured: NDArray, reference: NDArray) -> NDArray:
+        speed[:] = np.where(np.isnan(measured), speed, control(k, measured, reference))
+        return speed
+
+    still = replace(station, jitter=0.0)
+    run = simulate(
+        keep_speed,
+        path,
+        jacobian=np.broadcast_to(nominal_jacobian(zoom), (len(shake), 2, 2)),
+        rng=0,
+        start=start,
+        observer=lambda feature: feature + next(errors),
+        **still.apparatus(zoom),
+    )
+    measured = run.measured
+    for k in range(1, len(path)):
+        measured[:, k] = np.where(lost[:, k, None], measured[:, k - 1], measured[:, k])
+    return measured
 
 
 def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:

@@ -283,11 +283,13 @@ class OptimalController:
         self.gain = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
-        """Return the velocity for sample `k`, µm/s; zero if the feature is lost."""
+        """Return the velocity for sample `k`, µm/s; zero if the feature is lost.
+
+        `measured` has the shape (m,), or (N, m) for N runs at once, which gives N velocities.
+        """
         measured, reference = _checked_sample(k, measured, reference, self.gain.shape[1])
-        if not np.isfinite(measured).all():
-            return np.zeros(len(self.gain))
-        return self.gain @ (reference[min(k + 1, len(reference) - 1)] - measured)
+        error = reference[min(k + 1, len(reference) - 1)] - measured
+        return np.where(_seen(measured), error, 0.0) @ self.gain.T
 
 
 class PredictiveController(OptimalController):
@@ -361,63 +363,68 @@ class PredictiveController(OptimalController):
         self._limit = scalar("saturation", saturation, above=0)
         self._innovation_gain = scalar("innovation_gain", innovation_gain, least=0, most=1)
         self._part = self._delay - int(self._delay)
-        self._begin()
+        self._begin(())
 
-    def _begin(self) -> None:
-        """Forget the run before."""
-        # Commands not yet executed in full, oldest first; before each sample, the last one, too.
-        self._pending = np.zeros((int(self._delay) + 1, self._step.shape[1]))
-        self._estimate: Array | None = None
+    def _begin(self, runs: tuple[int, ...]) -> None:
+        """Forget the run before, and prepare for the shape of the runs that begin."""
+        features, motions = self._step.shape
+        # Commands not yet executed in full, oldest first.
+        self._pending = np.zeros((int(self._delay) + 1, *runs, motions))
+        self._estimate = np.full((*runs, features), np.nan)
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
-        """Return the velocity for sample `k`, µm/s; a run begins with sample 0."""
+        """Return the velocity for sample `k`, µm/s; a run begins with sample 0.
+
+        `measured` has the shape (m,), or (N, m) for N runs at once, which gives N velocities.
+        """
         measured, reference = _checked_sample(k, measured, reference, len(self._step))
         if k == 0:
-            self._begin()
-        elif len(self._pending) > int(self._delay) + 1:
-            first, second = self._pending[:2]
-            if self._estimate is not None:
-                moved = self._part * first + (1.0 - self._part) * second
-                self._estimate = self._estimate + self._step @ moved
-            self._pending = self._pending[1:]
+            self._begin(measured.shape[:-1])
+        as_array("measured", measured, shape=self._estimate.shape, finite=False)
         last = len(reference) - 1.0
         when = min(k + 1 + self._delay, last)
         before = int(when)
         after = min(before + 1, int(last))
         target = reference[before] + (when - before) * (reference[after] - reference[before])
-        if not np.isfinite(measured).all():
-            if self._estimate is None:
-                return np.zeros(self._step.shape[1])
-        elif self._estimate is None:
-            self._estimate = measured
-        else:
-            self._estimate = self._estimate + self._innovation_gain * (measured - self._estimate)
+        predicted = self._estimate
+        corrected = predicted + self._innovation_gain * (measured - predicted)
+        corrected = np.where(np.isfinite(predicted), corrected, measured)
+        estimate = np.where(_seen(measured), corrected, predicted)
         coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
-        ahead = self._estimate + self._step @ coming
-        wanted = self.gain @ (target - ahead)
-        command = np.minimum(np.maximum(wanted, -self._limit), self._limit)
-        self._pending = np.vstack([self._pending, command])
+        ahead = estimate + coming @ self._step.T
+        error = np.where(_seen(estimate), target - ahead, 0.0)
+        command = np.clip(error @ self.gain.T, -self._limit, self._limit)
+        pending = np.concatenate([self._pending, command[None]])
+        moved = self._part * pending[0] + (1.0 - self._part) * pending[1]  # until the next sample
+        self._estimate = estimate + moved @ self._step.T
+        self._pending = pending[1:]
         return command
+
+
+def _seen(feature: Array) -> NDArray[np.bool_]:
+    """Return whether each feature is known, shape (..., 1)."""
+    return np.asarray(np.isfinite(feature).all(axis=-1, keepdims=True))
 
 
 def _checked_sample(k: int, measured: Array, reference: Array, size: int) -> tuple[Array, Array]:
     """Check what a controller is called with; a lost measurement is NaN."""
     whole("k", k, least=0)
+    found = as_array("measured", measured, finite=False)
     return (
-        as_array("measured", measured, shape=(size,), finite=False),
+        as_array("measured", found, shape=(*found.shape[:-1], size), finite=False),
         as_array("reference", reference, shape=(None, size)),
     )
 
 
 def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:
-    """Return a Jacobian of which each direction shows."""
+    """Return a Jacobian of full rank, or a stack of them."""
     matrix = as_array("jacobian", jacobian, shape=shape)
     values = np.linalg.svd(matrix, compute_uv=False)
     # The rounding of a double is a millionth of what the weakest direction then does.
-    if values[-1] * 1e10 <= values[0]:
+    if (values[..., -1] * 1e10 <= values[..., 0]).any():
         raise ValueError(
             "jacobian must have full rank without the motions that the features do not show, "
-            f"got singular values from {values[0]:.3g} to {values[-1]:.3g}"
+            f"got singular values from {values.min():.3g} to {values.max():.3g}"
         )
     return matrix
 

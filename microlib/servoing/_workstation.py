@@ -6,20 +6,20 @@ is the camera's and no integration error enters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Tidy, as_array, generator, scalar
-from microlib.servoing._control import MOST_DELAY, full_rank
+from microlib.servoing._control import full_rank
 
 #: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
-#: velocity in µm/s.
+#: velocity in µm/s. For N runs, feature and velocity have the shape (N, 2).
 Controller = Callable[[int, Array, Array], Array]
 
-#: Given where the feature is in the image (px), where it is measured to be; NaN if it is lost.
+#: Given the true feature (px), returns the measured one; NaN if it is lost.
 Observer = Callable[[Array], Array]
 
 
@@ -79,7 +79,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Tidy):
-    """What happened, one row a frame.
+    """What happened, one row a frame; an axis of length N comes first for N runs.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def simulate(
     jacobian: ArrayLike,
     stage: Stage,
     camera: Camera,
-    rng: np.random.Generator | int,
+    rng: np.random.Generator | int | Sequence[np.random.Generator],
     start: ArrayLike | None = None,
     observer: Observer | None = None,
 ) -> Simulation:
@@ -125,25 +125,27 @@ def simulate(
         For example `OptimalController`.
     reference : array_like, shape (K, 2)
         Wanted feature at each exposure, px.
-    jacobian : array_like, shape (2, 2)
-        The true px/µm of the two axes, which may differ from those of the controller.
+    jacobian : array_like, shape (2, 2) or (N, 2, 2)
+        The true px/µm of the two axes, which may differ from those of the controller. With N
+        Jacobians, N runs are simulated at once.
     stage, camera : Stage, Camera
         The apparatus.
-    rng : numpy.random.Generator or int
-        Source of the jitter, or its seed.
-    start : array_like, shape (2,), optional
+    rng : numpy.random.Generator or int, or list of N generators
+        Source of the jitter, or its seed; a list has one for each of N runs.
+    start : array_like, shape (2,) or (N, 2), optional
         First feature, px; the first reference by default.
     observer : callable, optional
         Given the true feature with its jitter, (x, y) in px, returns the measured one, for example
         by rendering a frame and tracking it; NaN where it is lost. By default the feature is
-        measured as it is given: the fast mode.
+        measured as it is given. With N runs, both have the shape (N, 2).
 
     Returns
     -------
     Simulation
         What happened, one row a frame: ``time`` (s), ``reference``, ``feature`` and ``measured``
         (K×2, px; a lost measurement is NaN), ``position`` of the stage (K×2, µm from the start),
-        ``command`` (K×2, µm/s) and ``saturated`` (K).
+        ``command`` (K×2, µm/s) and ``saturated`` (K). With N runs, all but ``time`` and
+        ``reference`` have N as their first axis.
 
     Raises
     ------
@@ -165,41 +167,45 @@ def simulate(
     array([5., 5.])
     """
     wanted = as_array("reference", reference, shape=(None, 2))
-    matrix = full_rank(jacobian, (2, 2))
-    origin = wanted[0] if start is None else as_array("start", start, shape=(2,))
-    needed = np.abs(np.linalg.solve(matrix, (wanted - origin).T)).max()
+    matrix = as_array("jacobian", jacobian)
+    runs = matrix.shape[:-2]
+    matrix = full_rank(matrix, (*runs, 2, 2))
+    origin = wanted[0] if start is None else as_array("start", start)
+    origin = as_array("start", origin, shape=(2,) if origin.ndim < 2 else (*runs, 2))
+    way = np.swapaxes(wanted - origin[..., None, :], -1, -2)
+    needed = np.abs(np.linalg.solve(matrix, way)).max()
     if needed > stage.travel:
         raise ValueError(
             f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
         )
-    rng = generator("rng", rng)
     count = len(wanted)
-    if camera.latency > MOST_DELAY * camera.interval:
-        raise ValueError(
-            f"camera must have a latency of at most {MOST_DELAY} intervals, got "
-            f"{camera.latency:g} s and intervals of {camera.interval:g} s"
-        )
-    whole, part = divmod(camera.latency / camera.interval, 1.0)
-    first = int(whole) + 1
-    queue = np.zeros((count + first, 2))  # queue[k + first] is the command computed at exposure k
-    position: Array = np.zeros(2)
-    feature, measured, positions = np.empty((3, count, 2))
-    saturated = np.zeros(count, bool)
+    if isinstance(rng, (list, tuple)):
+        noise = np.array([generator("rng", one).standard_normal((count, 2)) for one in rng])
+    else:
+        noise = generator("rng", rng).standard_normal((*runs, count, 2))
+    jitter = as_array("rng", camera.jitter * noise, shape=(*runs, count, 2))
+    samples, part = divmod(camera.latency / camera.interval, 1.0)
+    first = int(samples) + 1
+    # commands[k + first] is computed at exposure k
+    commands = np.zeros((count + first, *runs, 2))
+    feature, measured, positions = np.empty((3, count, *runs, 2))
+    saturated = np.zeros((count, *runs), bool)
+    position = np.zeros((*runs, 2))
     for k in range(count):
         positions[k] = stage.rounded(position)
-        feature[k] = origin + matrix @ positions[k]
-        seen = feature[k] + camera.jitter * rng.standard_normal(2)
+        feature[k] = origin + (matrix @ positions[k][..., None])[..., 0]
+        seen = feature[k] + jitter[..., k, :]
         measured[k] = seen if observer is None else observer(seen)
-        command = as_array("command", controller(k, measured[k], wanted), shape=(2,))
-        saturated[k] = np.abs(command).max() > stage.saturation
-        queue[k + first] = np.minimum(np.maximum(command, -stage.saturation), stage.saturation)
-        position = position + camera.interval * (part * queue[k] + (1.0 - part) * queue[k + 1])
+        command = as_array("command", controller(k, measured[k], wanted), shape=(*runs, 2))
+        saturated[k] = (np.abs(command) > stage.saturation).any(axis=-1)
+        commands[k + first] = np.clip(command, -stage.saturation, stage.saturation)
+        position = position + camera.interval * (part * commands[k] + (1 - part) * commands[k + 1])
     return Simulation(
         time=camera.interval * np.arange(count),
         reference=wanted,
-        feature=feature,
-        measured=measured,
-        position=positions,
-        command=queue[first:],
-        saturated=saturated,
+        feature=np.moveaxis(feature, 0, -2),
+        measured=np.moveaxis(measured, 0, -2),
+        position=np.moveaxis(positions, 0, -2),
+        command=np.moveaxis(commands[first:], 0, -2),
+        saturated=np.moveaxis(saturated, 0, -1),
     )
