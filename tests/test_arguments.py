@@ -31,8 +31,7 @@ CHECKED = [name for name in NAMES if not fuzz.stores_only(name)]
 POSITIVE = {
     "acceleration", "aperture_radius", "band", "blur_rate", "degree", "depth", "dimple_depth",
     "dimple_radius", "distance", "division", "focal_length", "gain", "gap", "grain", "height",
-    "inflation", "interval", "jump", "level", "magnification", "modulus", "most_frames",
-    "most_lost", "pitch", "pixel_size", "probe_half_width", "radius", "rate", "reach", "reduce",
+    "inflation", "interval", "jump", "level", "magnification", "modulus", "pitch", "pixel_size", "probe_half_width", "radius", "rate", "reach", "reduce",
     "rim_radius", "saturation", "sensor_distance", "side", "size", "smallest", "spacing",
     "span", "speed", "terms", "test_move", "thickness", "timeout", "tolerance", "travel",
     "tube_length", "width", "window", "workers",
@@ -44,7 +43,7 @@ NOT_NEGATIVE = {
     "vignetting",
 }  # fmt: skip
 WHOLE = {
-    "degree", "k", "most_frames", "most_lost", "reach", "reduce", "rng", "size", "smallest",
+    "degree", "k", "reach", "reduce", "rng", "size", "smallest",
     "terms", "window", "workers",
 }  # fmt: skip
 #: Further numbers that are out of the range of an argument, in every function.

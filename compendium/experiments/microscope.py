@@ -172,12 +172,8 @@ def reach(seed: int | None) -> dict[str, Any]:
         ``reached``, the true ``error`` in px, the ``frames``, the moves to the target (``steps``),
         and the ``misfit`` of the calibration.
     """
-    return reach_on(make_scope(seed), seed or 0)
-
-
-def reach_on(scope: Scope, seed: int) -> dict[str, Any]:
-    """Do what `reach` does, on a microscope that is given."""
-    away = np.random.default_rng([seed, 19]).uniform(-50, 50, 2)
+    scope = make_scope(seed)
+    away = np.random.default_rng([seed or 0, 19]).uniform(-50, 50, 2)
     before = scope.moved()
     run = servo(
         scope.workstation,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from microlib._common import Array
-from microlib.servoing._devices import EndRun, Guard
+from microlib.servoing._devices import EndRun, wait_until_still
 from microlib.servoing._log import add_event, new_row, put
 from microlib.servoing._motion import (
     MOST_RELATIVE_ERROR,
@@ -29,6 +29,12 @@ _LEAST_CHECKED = 10.0
 #: travel ends the run.
 USED = 0.99
 
+#: Frames after which a target counts as not reachable.
+_MOST_FRAMES = 50
+
+#: Frames in a row without the feature that end the run; the stage stands from the first.
+_MOST_LOST = 3
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -39,8 +45,6 @@ class Settings:
     test_move: float
     tolerance: float
     step: float | None
-    most_frames: int
-    most_lost: int
     timeout: float
     progress: Callable[[dict[str, Any]], object] | None
 
@@ -90,8 +94,8 @@ class MotionCheck:
 class Loop:
     """One run; its results are in `rows`, `motion` and `reached`."""
 
-    def __init__(self, workstation: Any, tracker: Any, guard: Guard, settings: Settings) -> None:
-        self.workstation, self.guard = workstation, guard
+    def __init__(self, workstation: Any, tracker: Any, settings: Settings) -> None:
+        self.workstation = workstation
         self.rows: list[dict[str, Any]] = []
         self.motion = NOT_CALIBRATED
         self.reached = np.zeros(len(settings.targets), dtype=bool)
@@ -105,8 +109,8 @@ class Loop:
         """Return the time from the first exposure, s."""
         return 0.0 if self._origin is None else self.workstation.clock.now() - self._origin
 
-    def run(self, jacobian: Array | None) -> str:
-        """Observe, calibrate if there is no Jacobian, and go to the targets; return no reason."""
+    def run(self, jacobian: Array | None) -> None:
+        """Observe, calibrate if there is no Jacobian, and go to the targets."""
         first = self._observe("start", -1)
         self._start = first.position
         if not np.isfinite(first.measured).all():
@@ -119,7 +123,6 @@ class Loop:
         self._check_targets(first.measured)
         for number, reference in enumerate(self._settings.targets):
             self._servo_to(number, reference)
-        return ""
 
     def _check_targets(self, feature: Array) -> None:
         """End the run if a target is beyond the travel."""
@@ -135,9 +138,8 @@ class Loop:
 
     def _observe(self, phase: str, target: int, reference: Array | None = None) -> Observation:
         """Take a frame and measure the feature."""
-        guard, clock = self.guard, self.workstation.clock
-        position = np.asarray(guard.call(self.workstation.stage.position), dtype=float)
-        frame, exposed = guard.call(self.workstation.camera.snap)
+        position = np.asarray(self.workstation.stage.position(), dtype=float)
+        frame, exposed = self.workstation.camera.snap()
         if self._origin is None:
             self._origin = exposed
         row = new_row(exposed - self._origin, phase, target)
@@ -146,7 +148,7 @@ class Loop:
         if reference is not None:
             put(row, "reference", reference, "px")
         track = self._tracker.track(frame)
-        row["latency_s"] = clock.now() - exposed
+        row["latency_s"] = self.workstation.clock.now() - exposed
         if track.lost:
             row["lost"] = True
             add_event(row, getattr(track, "reason", "") or "lost")
@@ -186,7 +188,7 @@ class Loop:
 
     def _servo_to(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
-        for _ in range(self._settings.most_frames):
+        for _ in range(_MOST_FRAMES):
             seen = self._observe("servo", number, reference)
             if not self._is_seen(seen):
                 continue
@@ -197,7 +199,7 @@ class Loop:
                 return
             self._move(seen, reference)
             self._report(seen)
-        raise EndRun(f"target {number} was not reached in {self._settings.most_frames} frames")
+        raise EndRun(f"target {number} was not reached in {_MOST_FRAMES} frames")
 
     def _is_seen(self, seen: Observation) -> bool:
         """Return whether the feature is measured; end the run after too many frames without it."""
@@ -207,7 +209,7 @@ class Loop:
             return True
         self._report(seen)
         self._lost += 1
-        if self._lost == self._settings.most_lost:
+        if self._lost == _MOST_LOST:
             raise EndRun(f"lost: {seen.row['event']} in {self._lost} frames in a row")
         return False
 
@@ -228,29 +230,16 @@ class Loop:
 
     def _go(self, row: dict[str, Any], target: Array) -> None:
         """Send the stage and wait until it stands there."""
-        guard, stage = self.guard, self.workstation.stage
         put(row, "command", target, "um")
-        here = np.asarray(guard.call(stage.position), dtype=float)
-        guard.call(stage.move_to, target)
-        guard.settle(self._watch_travel)
-        arrived = self._watch_travel()
-        # A move that the image would not show may be less than an increment of the drive.
-        # Before the calibration J is NaN, and every move counts.
-        shown = np.linalg.norm(self.motion.jacobian @ (target - here))
-        if shown < _LEAST_CHECKED * self._settings.tolerance:
-            return
-        if np.linalg.norm(target - arrived) > 0.5 * np.linalg.norm(target - here):
-            raise EndRun(
-                f"the stage did not go where it was sent: it stands at {np.round(arrived, 2)} µm "
-                f"instead of {np.round(target, 2)} µm"
-            )
+        self.workstation.stage.move_to(target)
+        wait_until_still(self.workstation, self._settings.timeout, self._check_travel)
+        self._check_travel()
 
-    def _watch_travel(self) -> Array:
-        """Return the position of the stage; end the run if it is beyond the travel."""
-        position = np.asarray(self.guard.call(self.workstation.stage.position), dtype=float)
+    def _check_travel(self) -> None:
+        """End the run if the stage is beyond the travel."""
+        position = np.asarray(self.workstation.stage.position(), dtype=float)
         if (np.abs(position - self._start) > self._settings.travel).any():
             raise EndRun(
                 f"the stage is beyond the travel of ±{self._settings.travel} µm, at "
                 f"{np.round(position - self._start, 2)} µm from the start"
             )
-        return position

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
 from os import PathLike
-from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ class MicroManager:
 
     def __init__(self, core: Any) -> None:
         if isinstance(core, (str, PathLike)):
-            core = _load(Path(core))
+            core = _load(core)
         if not callable(getattr(core, "getXYStageDevice", None)):
             raise ValueError(f"core must be a core or a path, got {type(core).__name__}")
         label = core.getXYStageDevice()
@@ -66,16 +65,18 @@ class MicroManager:
         if not core.getShutterDevice():
             core.setAutoShutter(False)
         self.core = core
-        self.clock = _RealClock()
-        self.camera = _EngineCamera(core, self.clock)
+        self.clock = SimpleNamespace(now=time.monotonic, sleep=time.sleep)
+        self.camera = SimpleNamespace(snap=self._snap)
         self.stage = _EngineStage(core, label)
 
+    def _snap(self) -> tuple[NDArray[Any], float]:
+        half = self.core.getExposure() / 2000.0  # of ms
+        start = self.clock.now()
+        self.core.snapImage()
+        return self.core.getImage(), start + half
 
-def _load(path: Path) -> Any:
-    if not os.path.isfile(path):  # unlike Path.is_file, also of a name that is too long
-        raise ValueError(
-            f"core must be a core or a configuration file, got {str(path)[:80]!r}: no such file"
-        )
+
+def _load(path: str | PathLike[str]) -> Any:
     # Not at the top: the library works without the engine.
     try:
         from pymmcore_plus import CMMCorePlus
@@ -87,25 +88,6 @@ def _load(path: Path) -> Any:
     except (OSError, RuntimeError) as error:
         raise ValueError(f"core must be a configuration that loads, got {path}: {error}") from None
     return core
-
-
-class _RealClock:
-    def now(self) -> float:
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-
-class _EngineCamera:
-    def __init__(self, core: Any, clock: _RealClock) -> None:
-        self._core, self._clock = core, clock
-
-    def snap(self) -> tuple[NDArray[Any], float]:
-        half = self._core.getExposure() / 2000.0  # of ms
-        start = self._clock.now()
-        self._core.snapImage()
-        return self._core.getImage(), start + half
 
 
 class _EngineStage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,25 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, positive, scalar, whole
+from microlib._common import Array, Tidy, as_array, positive, scalar
 from microlib.servoing._control import full_rank
-from microlib.servoing._devices import (
-    Ending,
-    EndRun,
-    Guard,
-    RunInterrupt,
-    check_devices,
-    interrupts,
-)
+from microlib.servoing._devices import EndRun, check_devices, ignored_interrupts, stop_stage
 from microlib.servoing._log import add_event, as_frame, new_row, put
 from microlib.servoing._loop import USED, Loop, Settings
 
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Time after Ctrl-C in which another one is ignored, s: the key may be pressed twice.
+_DEBOUNCE = 0.3
+
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ServoRun(Tidy, Ending):
+class ServoRun(Tidy):
     """Result of `servo`.
 
     Attributes
@@ -40,11 +37,8 @@ class ServoRun(Tidy, Ending):
         Which targets were reached.
     reason : str
         Why the run ended early; empty if it did not.
-    complete : bool
-        Whether it came to its end and the stage stands still.
     still : bool
-        Whether the stage reported, after the stop, that it does not move. Where a call did not
-        return, the stage is stopped again once it does.
+        Whether the stage reported, after the stop, that it does not move.
     jacobian : ndarray, shape (2, 2)
         px/µm that the run used: given, or calibrated; NaN if it never came to that.
     jacobian_covariance : ndarray, shape (4, 4)
@@ -55,8 +49,6 @@ class ServoRun(Tidy, Ending):
     misfit : float
         χ² per degree of freedom of the calibration. Above 1 the tracks scatter more than their
         covariances state, and `jacobian_covariance` is enlarged by it; NaN if there was none.
-    latency : float
-        Median time from an exposure until its command, s.
     error : Exception or None
         The exception behind `reason`, if there is one.
     """
@@ -65,13 +57,23 @@ class ServoRun(Tidy, Ending):
 
     log: pd.DataFrame
     reached: NDArray[np.bool_]
+    reason: str
+    still: bool
     jacobian: Array
     jacobian_covariance: Array
     drift: Array
     misfit: float
-    latency: float
+    error: BaseException | None
 
     _large = ("reached", "log", "jacobian_covariance")
+
+
+class RunInterrupt(KeyboardInterrupt):
+    """Ctrl-C, raised when the stage was stopped; `run` is the result until then."""
+
+    def __init__(self, run: ServoRun) -> None:
+        super().__init__(run.reason)
+        self.run = run
 
 
 def servo(
@@ -84,8 +86,6 @@ def servo(
     test_move: float | None = None,
     tolerance: float = 0.05,
     step: float | None = None,
-    most_frames: int = 50,
-    most_lost: int = 3,
     timeout: float = 10.0,
     progress: Callable[[dict[str, Any]], object] | None = None,
 ) -> ServoRun:
@@ -95,7 +95,7 @@ def servo(
     fitted to the measured features. Then the loop takes a frame, measures, and moves to where the
     target is by J, until every target is reached. Each frame is taken while the stage stands, so
     that delays do not matter. At the end (all targets reached, a limit, a lost feature, a device
-    that fails or hangs, or Ctrl-C) the stage is stopped and asked whether it stands still.
+    that raises an error, or Ctrl-C) the stage is stopped and asked whether it stands still.
 
     Parameters
     ----------
@@ -119,12 +119,8 @@ def servo(
         A target is reached within this distance, px.
     step : float, optional
         Longest move between two frames, µm; the travel alone limits it by default.
-    most_frames : int, optional
-        Frames after which a target counts as not reachable.
-    most_lost : int, optional
-        Frames in a row without the feature that end the run; the stage stands from the first.
     timeout : float, optional
-        Longest time that a device may take to answer, and a move to end, s.
+        Longest time that a move may take, s.
     progress : callable, optional
         Called with each row of the log, a dict, as it is complete.
 
@@ -133,8 +129,8 @@ def servo(
     ServoRun
         ``log`` (a data frame, one row a frame), ``reached`` (N booleans), ``reason`` (why it ended
         early, or empty), ``still``, ``jacobian`` (2×2, px/µm), ``jacobian_covariance`` (4×4),
-        ``drift`` (2, px/s), ``misfit``, ``latency`` (s) and ``error``. A fault of a device or a
-        lost feature raises nothing: look at ``reached`` before you go on.
+        ``drift`` (2, px/s), ``misfit`` and ``error``. A fault of a device or a lost feature raises
+        nothing: look at ``reached`` before you go on.
 
     Raises
     ------
@@ -152,6 +148,9 @@ def servo(
     more than half of it, three times in a row. The cause may be a wrong Jacobian, a stuck or
     reversed axis, or a frozen frame. One or two such deviations may be a wrong track and its
     correction.
+
+    A call to a device that does not return blocks the run until Ctrl-C; set the timeouts of the
+    device itself. The stage then goes at most to its last command, which is within the travel.
 
     The columns of the log are ``time_s`` from the first exposure; ``phase`` (start, calibration,
     servo, end); ``target``, its number, or −1; ``reference``, ``measured`` in px; ``lost``;
@@ -182,46 +181,56 @@ def servo(
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     limits = positive("travel", travel)
     limits = as_array("travel", limits if limits.ndim else np.full(2, limits), shape=(2,))
+    shortest = float(limits.min())
+    longest = USED * shortest
+    if step is not None:
+        longest = min(longest, scalar("step", step, above=0))
+    move = min(shortest / 10, longest) if test_move is None else test_move
     settings = Settings(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=limits,
-        test_move=_test_move(test_move, limits, step),
+        test_move=scalar("test_move", move, above=0, most=longest),
         tolerance=scalar("tolerance", tolerance, above=0),
-        step=None if step is None else scalar("step", step, above=0),
-        most_frames=whole("most_frames", most_frames, least=1),
-        most_lost=whole("most_lost", most_lost, least=1),
+        step=step,
         timeout=scalar("timeout", timeout, above=0),
         progress=progress,
     )
     given = None if jacobian is None else full_rank(jacobian, (2, 2))
-    guard = Guard(workstation.clock, workstation.stage, settings.timeout)
-    loop = Loop(workstation, tracker, guard, settings)
-    with interrupts(guard.interrupted):
-        end = guard.run(lambda: loop.run(given))
-        last = new_row(loop.now(), "end", -1)
-        with suppress(EndRun):  # the reason states already what failed
-            put(last, "stage", guard.call(workstation.stage.position), "um")
-        add_event(last, end.reason or "done")
-        motion, log = loop.motion, as_frame([*loop.rows, last])
-        run = ServoRun(
-            **vars(end),
-            log=log,
-            reached=loop.reached,
-            jacobian=motion.jacobian,
-            jacobian_covariance=motion.covariance,
-            drift=motion.drift,
-            misfit=motion.misfit,
-            latency=float(log["latency_s"].median()),
-        )
-        if guard.interrupted.is_set():
-            raise RunInterrupt(run)
+    loop = Loop(workstation, tracker, settings)
+    reason = ""
+    error: BaseException | None = None
+    try:
+        loop.run(given)
+    except EndRun as end:
+        reason = str(end)
+    except KeyboardInterrupt as interrupt:
+        reason, error = "interrupted by the user", interrupt
+    except Exception as fault:  # of a device, a tracker or `progress`
+        reason, error = f"{type(fault).__name__}: {fault}", fault
+    with ignored_interrupts():
+        trouble = stop_stage(workstation, settings.timeout)
+        reason = "; ".join(filter(None, (reason, trouble)))
+        run = _result(loop, reason, not trouble, error)
+        if isinstance(error, KeyboardInterrupt):
+            time.sleep(_DEBOUNCE)
+    if isinstance(error, KeyboardInterrupt):
+        raise RunInterrupt(run) from None
     return run
 
 
-def _test_move(size: float | None, travel: Array, step: float | None) -> float:
-    """Return the length of the test moves, which no limit may cut."""
-    room = USED * float(travel.min())
-    room = room if step is None else min(room, scalar("step", step, above=0))
-    if size is None:
-        return min(float(travel.min()) / 10, room)
-    return scalar("test_move", size, above=0, most=room)
+def _result(loop: Loop, reason: str, still: bool, error: BaseException | None) -> ServoRun:
+    last = new_row(loop.now(), "end", -1)
+    with suppress(Exception):  # the reason states already what failed
+        put(last, "stage", loop.workstation.stage.position(), "um")
+    add_event(last, reason or "done")
+    return ServoRun(
+        log=as_frame([*loop.rows, last]),
+        reached=loop.reached,
+        reason=reason,
+        still=still,
+        jacobian=loop.motion.jacobian,
+        jacobian_covariance=loop.motion.covariance,
+        drift=loop.motion.drift,
+        misfit=loop.motion.misfit,
+        error=error,
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from threading import RLock
 from types import SimpleNamespace
 from typing import Any
 
@@ -137,17 +136,15 @@ class _SimulatedStage:
 
 
 class _VirtualClock:
-    """Time that passes when it is waited for; several threads may wait."""
+    """Time that passes when it is waited for."""
 
     def __init__(self, stage: _SimulatedStage) -> None:
         self._now = 0.0
         self._stage = stage
-        self._lock = RLock()
 
     def now(self) -> float:
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        with self._lock:
-            self._now += seconds
-            self._stage.advance(seconds)
+        self._now += seconds
+        self._stage.advance(seconds)

@@ -2,45 +2,142 @@
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from compendium.experiments.microscope import reach
-from tests.servoing.faults import FAULTS, run_with
-
-FEW = ("snap hangs", "frozen", "move hangs", "never arrives", "reversed", "stop fails twice")
+from compendium.experiments.microscope import make_scope, reach
+from microlib.servoing import Stage, servo
 
 
-def check(outcome) -> None:
-    run = outcome.run
-    assert run.reached.all() or run.reason
-    assert run.log["event"].iloc[-1] == (run.reason or "done")
-    assert outcome.still
-    assert outcome.stops > 0
-    assert outcome.excursion <= 1.0
-    # A move that was begun by a call that had been given up is stopped as it begins: 1000 µm/s are
-    # some 0.3 px/ms here, a whole move is 10 px.
-    assert outcome.coasted < 2.0
+def fail(*_):
+    raise OSError("busy")
 
 
-@pytest.mark.parametrize(("fault", "frame"), FAULTS)
-def test_fault_ends_the_run_and_stops_the_stage(fault, frame) -> None:
-    outcome = run_with(fault, frame)
-    check(outcome)
-    assert outcome.run.still == (fault != "never arrives")
-    if fault.startswith("Ctrl-C"):
-        assert outcome.run.reason == "interrupted by the user"
-    if fault.endswith("error") or fault.endswith("hangs"):
-        assert outcome.run.error is not None or "did not answer" in outcome.run.reason
+def press_ctrl_c(call, *arguments):
+    os.kill(os.getpid(), signal.SIGINT)
+    return call(*arguments)
 
 
-@pytest.mark.parametrize("fault", FEW)
-def test_fault_of_the_engine_ends_the_run_and_stops_the_stage(fault) -> None:
-    pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
-    check(run_with(fault, 10, engine=True))
+def changed(change):
+    """Return what a camera does whose frames are changed."""
+
+    def snap(call):
+        frame, exposed = call()
+        return change(frame), exposed
+
+    return snap
 
 
-def test_targets_are_reached_under_rotation_reflection_and_scale() -> None:
+def frozen():
+    first = []
+
+    def snap(call):
+        frame, exposed = call()
+        first.append(frame)
+        return first[0], exposed
+
+    return snap
+
+
+NOISE = np.random.default_rng(0).integers(0, 255, (240, 320))
+BROKEN = r"^OSError: busy$"
+OFF = r"^(calibration rejected|the image does not follow|lost|the stage is beyond)"
+#: The method that fails, what it does instead, given the method and its arguments, and the reason.
+FAULTS = {
+    "snap error": ("camera.snap", fail, BROKEN),
+    "move error": ("stage.move_to", fail, BROKEN),
+    "position error": ("stage.position", fail, BROKEN),
+    "track error": ("tracker.track", fail, BROKEN),
+    "progress error": ("progress.call", fail, BROKEN),
+    "black": ("camera.snap", changed(lambda frame: 0 * frame), "^lost: "),
+    "noise": ("camera.snap", changed(lambda frame: NOISE.astype(frame.dtype)), "^lost: "),
+    "other size": ("camera.snap", changed(lambda frame: frame[:-2]), "^ValueError: "),
+    "frozen": ("camera.snap", frozen(), OFF),
+    "stuck": ("stage.move_to", lambda *_: None, OFF),
+    "reversed": ("stage.move_to", lambda move, to: move(2 * move.__self__.position() - to), OFF),
+    "never arrives": (
+        "stage.moving",
+        lambda call: True,
+        "^the stage still moves after 1 s; the st",
+    ),
+    "Ctrl-C during snap": ("camera.snap", press_ctrl_c, "^interrupted by the user$"),
+    "Ctrl-C during moving": ("stage.moving", press_ctrl_c, "^interrupted by the user$"),
+    "Ctrl-C during track": ("tracker.track", press_ctrl_c, "^interrupted by the user$"),
+}
+
+
+def run_with(method, instead, first):
+    """Go to a target, with a method that does something else from a frame on.
+
+    Returns the run, and the farthest that the stage was from its start over the travel.
+    """
+    # Slow enough that moves take time, which an interrupt can come in.
+    scope = make_scope(0, stage=Stage(saturation=1000.0))
+    tracker, workstation = scope.tracker(), scope.workstation
+    parts = {**vars(workstation), "tracker": tracker}
+    parts["progress"] = progress = SimpleNamespace(call=lambda row: None)
+    stage, camera = workstation.stage, workstation.camera
+    travel, frames, ways, position = 60.0 / scope.scale, [], [0.0], stage.position
+    owner, name = parts[method.split(".")[0]], method.split(".")[1]
+    call = getattr(owner, name)
+
+    def spoiled(*arguments):
+        ways.extend(np.abs(position()))
+        return instead(call, *arguments) if len(frames) >= first else call(*arguments)
+
+    setattr(owner, name, spoiled)
+    snap, moving = camera.snap, stage.moving
+    camera.snap = lambda: (frames.append(1), snap())[1]
+    stage.moving = lambda: (ways.extend(np.abs(position())), moving())[1]
+    step = 10.0 / scope.scale  # so that the faults on the way come before the target
+    given = {"travel": travel, "test_move": step, "step": step, "timeout": 1.0}
+    try:
+        target = scope.home + np.array([-35.0, 30.0])
+        run = servo(workstation, tracker, target, **given, progress=lambda row: progress.call(row))
+    except KeyboardInterrupt as interrupt:
+        run = interrupt.run
+    else:  # who called must not go on
+        assert instead is not press_ctrl_c
+    setattr(owner, name, call)
+    return run, scope, max(ways) / travel
+
+
+@pytest.mark.parametrize("first", [3, 11])  # within the calibration, and on the way to the target
+@pytest.mark.parametrize("fault", FAULTS)
+def test_fault_ends_the_run_and_stops_the_stage(fault, first):
+    method, instead, reason = FAULTS[fault]
+    run, scope, farthest = run_with(method, instead, first)
+    assert re.search(reason, run.reason), run.reason
+    assert not run.reached.any()
+    assert run.log["event"].iloc[-1] == run.reason
+    assert run.still == (fault != "never arrives")
+    assert (run.error is None) == reason.startswith(("^lost", "^the stage", OFF))
+    assert farthest <= 1.02  # 1000 µm/s over the 2 ms between two polls of the stage
+    before = scope.truth.feature
+    scope.workstation.clock.sleep(1.0)
+    np.testing.assert_array_equal(scope.truth.feature, before)
+
+
+@pytest.mark.parametrize("failures", [2, 3])
+def test_stop_is_tried_three_times(failures):
+    calls = []
+
+    def stop(call):
+        calls.append(1)
+        return fail() if len(calls) <= failures else call()
+
+    run, _, _ = run_with("stage.stop", stop, 0)
+    assert run.still == (failures < 3)
+    assert run.reason == ("" if run.still else "the stage may not stand still: busy")
+    assert len(calls) == 3
+
+
+def test_targets_are_reached_under_rotation_reflection_and_scale():
     runs = [reach(seed) for seed in range(100, 106)]
     assert all(run["reached"] for run in runs)
     # The tolerance of 0.05 px and what the tracker is wrong.

@@ -39,7 +39,7 @@ class Core:
         return {"XY": 1, "Z": 0}[label]
 
     def loadSystemConfiguration(self, path: str) -> None:
-        if "bad" in path:
+        if "bad" in str(path):
             raise RuntimeError("no such device")
         self.done.append(("load", path))
 
@@ -87,9 +87,6 @@ def test_autoshutter_is_switched_off_only_without_a_shutter_device() -> None:
         core.answers = Core().answers | {device: ""}
         with pytest.raises(ValueError, match="core must have a camera and an XY stage"):
             MicroManager(core)
-    for path in ("mine.cfg", "x" * 5000, "a\0b"):
-        with pytest.raises(ValueError, match="no such file"):
-            MicroManager(path)
 
 
 def test_configuration_file_is_loaded_into_a_new_core(monkeypatch, tmp_path: Path) -> None:

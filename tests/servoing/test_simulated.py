@@ -1,0 +1,57 @@
+"""The simulated workstation answers as a microscope does."""
+
+import numpy as np
+import pytest
+
+from compendium.experiments.microscope import SHAPE, make_scope
+from microlib.servoing import Camera, Stage
+
+
+def workstation(**options):
+    return make_scope(0, **options).workstation
+
+
+def test_stage_reports_a_move_until_it_arrives():
+    scope = workstation(stage=Stage(saturation=500.0))
+    home = scope.feature
+    scope.stage.move_to(np.array([50.0, -20.0]))
+    scope.clock.sleep(0.099)
+    assert scope.stage.moving()
+    scope.clock.sleep(0.002)
+    assert not scope.stage.moving()
+    np.testing.assert_allclose(scope.stage.position(), (50.0, -20.0), atol=0.05)  # increments
+    moved = scope.feature - home
+    np.testing.assert_allclose(moved, scope._jacobian @ (50.0, -20.0), atol=0.03)
+    frame, exposed = scope.camera.snap()
+    assert frame.shape == SHAPE
+    assert exposed <= scope.clock.now()
+
+
+def test_stop_ends_a_move_at_the_current_position():
+    scope = workstation(stage=Stage(saturation=100.0, step=0.0))
+    scope.stage.move_to(np.array([300.0, 0.0]))
+    scope.clock.sleep(0.1)
+    scope.stage.stop()
+    assert not scope.stage.moving()
+    scope.clock.sleep(0.05)
+    np.testing.assert_allclose(scope.stage.position(), [10.0, 0.0])
+
+
+def test_simulated_feature_drifts_and_stage_stays_within_travel():
+    scope = workstation(stage=Stage(saturation=50.0, step=0.0, travel=20.0), drift=(1.0, -2.0))
+    scope.stage.move_to(np.array([2.0, -400.0]))
+    scope.clock.sleep(0.2)
+    np.testing.assert_allclose(scope.stage.position(), (2.0, -10.0))
+    drifted = scope.feature - scope._home - scope._jacobian @ (2.0, -10.0)
+    np.testing.assert_allclose(drifted, (0.2, -0.4))
+    assert scope.stage.moving()
+    scope.clock.sleep(10.0)
+    np.testing.assert_allclose(scope.stage.position(), (2.0, -20.0))
+    assert not scope.stage.moving()
+
+
+def test_exposures_are_one_interval_apart_and_frames_return_after_the_latency():
+    scope = workstation(camera=Camera(interval=0.25, latency=0.1))
+    times = [scope.camera.snap()[1] for _ in range(3)]
+    np.testing.assert_allclose(times, [0.0, 0.25, 0.5])
+    assert scope.clock.now() == pytest.approx(0.6)
