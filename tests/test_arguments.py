@@ -31,7 +31,8 @@ CHECKED = [name for name in NAMES if not fuzz.stores_only(name)]
 POSITIVE = {
     "acceleration", "aperture_radius", "band", "blur_rate", "degree", "depth", "dimple_depth",
     "dimple_radius", "distance", "division", "focal_length", "gain", "gap", "grain", "height",
-    "inflation", "interval", "jump", "level", "magnification", "modulus", "pitch", "pixel_size", "probe_half_width", "radius", "rate", "reach", "reduce",
+    "inflation", "interval", "jump", "level", "magnification", "modulus", "pitch",
+    "pixel_size", "probe_half_width", "radius", "rate", "reach", "reduce",
     "rim_radius", "saturation", "sensor_distance", "side", "size", "smallest", "spacing",
     "span", "speed", "terms", "test_move", "thickness", "timeout", "tolerance", "travel",
     "tube_length", "width", "window", "workers",
