@@ -1,11 +1,9 @@
 """More frames over the same travel: how many are averaged, and that they never hurt."""
 
 import numpy as np
-import pytest
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus.multiscale._axis import find_axis, peak_width, sample_tiles
 from tests.scenes import tilted_plane
 
 SHAPE = (96, 96)
@@ -26,38 +24,6 @@ def tilted(factor: int, *, noise: float = 3.0, seed: int = 0):
 
 def rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(error[8:-8, 8:-8] ** 2)))
-
-
-def test_peak_width_is_area_over_height():
-    """The contrast of a checkerboard rises and falls as a triangle of known area over height."""
-    y, x = np.indices((288, 288))
-    board = np.where((x // 3 + y // 3) % 2 == 0, -1.0, 1.0)
-    contrast = np.clip(1 - np.abs(np.arange(40.0) - 17) / 8, 0, 1)
-    frames = [(128 + 50 * c * board).astype(np.float32) for c in contrast]
-    # The area of a triangle of half width 8 over its height; its foot is on frames.
-    assert peak_width(frames) == pytest.approx(8.0, rel=1e-5)
-    assert peak_width([np.full((288, 288), 7, np.uint8)] * 5) == 1.0
-
-
-@pytest.mark.parametrize("factor", [1, 5])
-def test_groups_are_even_means_of_frames_and_positions(factor):
-    _, positions, stack = tilted(factor)
-    axis = find_axis([sample_tiles(frame) for frame in stack], positions, 3.7)
-    sizes = np.diff(axis.ends)
-    assert (axis.ends[0], axis.ends[-1]) == (0, len(stack))
-    assert np.ptp(sizes) <= 1
-    assert sizes.mean() == pytest.approx(factor, rel=0.5)
-    for k, (a, b) in enumerate(zip(axis.ends[:-1], axis.ends[1:], strict=True)):
-        seen = axis.frame(list(stack), k, np.s_[3:20, 5:])
-        np.testing.assert_allclose(seen, stack[a:b, 3:20, 5:].mean(axis=0), rtol=1e-6)  # float32
-        assert axis.means[k] == pytest.approx(positions[a:b].mean())
-
-
-def test_steps_rise_for_falling_positions():
-    axis = find_axis([np.full((48, 48), 7, np.uint8)] * 4, np.array([30.0, 20, 10, 0]), 3.7)
-    np.testing.assert_allclose(axis.steps, [0, 1, 2, 3])
-    found = axis.micrometers(np.array([-1.0, 0.25, 3.5], np.float32))
-    np.testing.assert_allclose(found, [30.0, 27.5, 0.0])  # never outside of the stack
 
 
 def test_error_falls_with_the_number_of_frames():

@@ -73,20 +73,6 @@ def test_smooth_depth_equals_local_planes_by_least_squares(options):
     np.testing.assert_allclose(ours, wanted, atol=1e-4)
 
 
-def test_smooth_depth_with_radius_below_half_a_pixel_is_identity():
-    depth = np.random.default_rng(5).standard_normal((9, 11))
-    np.testing.assert_allclose(smooth_depth(depth, jump=9.0, radius=0.3), depth, atol=1e-12)
-
-
-def test_printed_condition_of_3_14_keeps_only_spikes():
-    """Erratum: (3.14) as printed replaces what lies inside the band."""
-    depth = np.random.default_rng(0).standard_normal((15, 15))
-    depth[7, 7] = 100.0
-    ours = correct_spikes(depth)
-    assert abs(ours[7, 7]) < 2
-    assert np.mean(ours == depth) > 0.8
-
-
 @settings(deadline=None, max_examples=20)
 @given(
     rise_x=st.floats(-2, 2),

@@ -1,6 +1,5 @@
 """Shape from focus against loops over (3.11) to (3.13), known surfaces, and its own promises."""
 
-import threading
 import tracemalloc
 
 import numpy as np
@@ -140,17 +139,6 @@ def test_region_equals_cropped_frames(dome):
     assert reduced.depth.shape == (48, 48)
 
 
-def test_rounding_of_grey_levels_and_positions_does_not_change_depth(dome):
-    _, stack = dome
-    rng = np.random.default_rng(0)
-    grey = stack.astype(float)
-    moved = grey * (1 + 1e-15 * rng.standard_normal(grey.shape))
-    z = POSITIONS * (1 + 1e-15 * rng.standard_normal(len(POSITIONS)))
-    plain, other = (depth_from_focus(s, p) for s, p in ((grey, POSITIONS), (moved, z)))
-    np.testing.assert_allclose(other.depth, plain.depth, atol=1e-3 * STEP)
-    np.testing.assert_array_equal(np.isnan(other.depth), np.isnan(plain.depth))
-
-
 def test_result_has_a_repr_of_one_line_and_is_compared_by_identity(dome):
     _, stack = dome
     result = depth_from_focus(stack, POSITIONS)
@@ -188,25 +176,6 @@ def test_order_of_frames_does_not_matter(dome):
         down = depth_from_focus(stack[::-1], POSITIONS[::-1], measure=measure)
         difference = np.abs(up.depth - down.depth) / STEP
         assert np.mean(difference < share) > 0.99  # equal maxima go to the first, another one
-
-
-@pytest.mark.parametrize("measure", ["multiscale", "sml"])
-def test_rows_and_columns_are_alike(measure):
-    """On an image of odd, unequal sides, a part of which shows nothing but noise."""
-    shape = (95, 62)
-    texture = synthetic.mixed_texture(shape, np.random.default_rng(1))
-    texture[:40] = 128
-    height = 75 + synthetic.paraboloid(shape, 100.0)
-    stack = render(height, texture=texture)
-    upright = depth_from_focus(stack, POSITIONS, measure=measure)
-    lying = depth_from_focus(stack.transpose(0, 2, 1), POSITIONS, measure=measure)
-    unknown = np.isnan(upright.depth)
-    assert unknown[:30].any()
-    # float32, filtered along the other axis first: where a rule is at its limit, that decides.
-    assert np.mean(np.isnan(lying.depth.T) != unknown) < 0.003
-    difference = np.abs(lying.depth.T - upright.depth)
-    # A pixel more or less shows in the smoothing around it.
-    assert np.mean(difference[np.isfinite(difference)] > 0.01 * STEP) < 0.03
 
 
 def test_depth_is_accurate_at_uneven_positions(dome):
@@ -362,20 +331,6 @@ def test_exception_of_progress_ends_the_computation(dome):
         with pytest.raises(InterruptedError):
             depth_from_focus(dome[1], POSITIONS, progress=stop, workers=2)
         assert (np.array(told[:-1]) < last).all()
-
-
-def test_progress_is_called_from_the_calling_thread():
-    """And never less than before, with strips that end in another order than they begin."""
-    stack = np.random.default_rng(0).integers(0, 256, (9, 1100, 40)).astype(np.uint8)
-    told = []
-
-    def progress(done, count):
-        told.append((done, threading.get_ident()))
-
-    depth_from_focus(stack, np.arange(9.0), workers=4, progress=progress)
-    assert {thread for _, thread in told} == {threading.get_ident()}
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-    assert len(told) > 9 + 3  # more than one strip
 
 
 def test_memory_does_not_grow_with_the_frames():

@@ -224,16 +224,3 @@ def test_stacks_without_a_common_scene_are_rejected() -> None:
         depth_from_focus(black, POSITIONS, register=True)
     with pytest.raises(ValueError, match="frames must be at least 32 px"):
         depth_from_focus(noise[:, :20], POSITIONS, register=True)
-
-
-def test_color_frames_and_iterators_are_registered() -> None:
-    frames, _ = scene("tilt", 1)
-    grey = disturbed(frames, 1, shift=0.5)
-    color = np.stack([grey, grey, 255 - grey], axis=-1)
-    result = depth_from_focus((frame for frame in color), POSITIONS, register=True)
-    assert result.all_in_focus.shape == (SIDE, SIDE, 3)
-    assert result.all_in_focus.dtype == np.uint8
-    # Luminance is half the contrast of the grey frames; the noise of rounding is small beside it.
-    assert ratio("tilt", 1, result.depth) < 1.6
-    red, _, blue = np.moveaxis(result.all_in_focus.astype(int), 2, 0)
-    assert np.abs(red + blue - 255).max() <= 8  # each channel has the gain of luminance, near 1

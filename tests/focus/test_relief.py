@@ -4,14 +4,10 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus.multiscale._axis import illumination_drift_bias
-from microlib.focus.multiscale._relief import find_relief
-from microlib.focus.multiscale._settings import Settings
 from tests.scenes import straight_step, tilted_plane
 
 SHAPE = (144, 144)
@@ -49,45 +45,6 @@ def deciles(error, stated):
     error, stated = error.ravel(), stated.ravel()
     parts = np.array_split(np.argsort(stated, kind="stable"), 10)
     return np.array([np.sqrt(np.mean(error[k] ** 2) / np.mean(stated[k] ** 2)) for k in parts])
-
-
-def directions(relief, *, noise=0.1, grain=1.0, seed=0):
-    """Offsets that show the same relief, each with noise of its own, on every second pixel."""
-    rng = np.random.default_rng(seed)
-
-    def alone():
-        rough = gaussian_filter(rng.standard_normal(relief.shape), grain)
-        return noise * rough / rough.std()
-
-    return tuple((relief + alone()).astype(np.float32) for _ in range(2))
-
-
-ONES = np.ones((144, 144), np.float32)
-
-
-@pytest.mark.parametrize("period", [6.0, 10.0])
-def test_relief_on_which_both_directions_agree_is_found(period):
-    relief = waves(period, 0.3)
-    found, _ = find_relief(*directions(relief, noise=0.04), ONES, Settings())
-    assert 0.8 < gain(found, relief) < 2.2  # more is given back than was taken from these
-    assert np.corrcoef(inner(found).ravel(), inner(relief).ravel())[0, 1] > 0.97
-
-
-def test_noise_of_each_direction_alone_is_no_relief():
-    for seed in range(3):
-        found, _ = find_relief(*directions(np.zeros(SHAPE), seed=seed), ONES, Settings())
-        # 0.07 is the noise of their mean.
-        assert rms(found) < 0.007
-
-
-def test_what_the_directions_do_not_share_is_stated_as_noise():
-    """Noise of a grain of 4 px passes all windows, and shows as half their difference."""
-    made = directions(np.zeros(SHAPE), noise=0.1, grain=4.0, seed=1)
-    _, half = find_relief(*made, ONES, Settings())
-    # 0.1 / √2; some of it is smoothed away.
-    assert 0.03 < rms(half) < 0.08
-    _, none = find_relief(made[0], made[0], ONES, Settings())
-    assert not none.any()
 
 
 @pytest.mark.parametrize(
@@ -128,28 +85,6 @@ def test_errors_are_as_stated_in_every_decile(name, height, texture):
     ratio = deciles(inner(found.depth - height), inner(found.uncertainty))
     assert ratio.min() > (0.5 if name in ("tilt", "dome of gravel") else 0.25)
     assert ratio.max() < (2.6 if name == "cone" else 2)
-
-
-def test_drift_pulls_a_gaussian_by_its_variance_times_the_slope():
-    """Two factors exp(g k) of the measure: −(k − z)²/2 + 2 g k is highest at z + 2 g."""
-    light = 100 * np.exp(0.02 * np.arange(21))
-    np.testing.assert_allclose(illumination_drift_bias(light, 1.0)[4:-4], 0.04, rtol=1e-6)
-    # A peak of twice the deviation moves four times as far.
-    np.testing.assert_allclose(illumination_drift_bias(light, 2.0)[4:-4], 0.16, rtol=1e-6)
-
-
-def test_one_bright_frame_pulls_its_neighbors_and_no_others():
-    light = np.full(21, 100.0)
-    light[10] *= 1.1
-    pull = illumination_drift_bias(light, 1.0)
-    assert (pull[[9, 11]] > 0.03).all()
-    assert pull[[3, 17]].max() < 1e-9
-
-
-def test_steady_light_and_light_that_is_not_known_pull_nothing():
-    assert illumination_drift_bias(np.full(21, 50.0), 1.0).max() < 1e-12
-    assert not illumination_drift_bias(np.linspace(-1, 1, 21), 1.0).any()
-    assert np.isfinite(illumination_drift_bias(np.geomspace(1e-3, 1e30, 21), 1.0)).all()
 
 
 def test_frames_do_not_pull_the_depths_between_them():
