@@ -27,7 +27,7 @@ from microlib.calibration._views import (
 )
 from microlib.calibration.adequacy._held_out import held_out_errors
 from microlib.calibration.adequacy._lack_of_fit import check_fit
-from microlib.calibration.adequacy._lens_terms import add_lens_terms, without_lens_terms
+from microlib.calibration.adequacy._lens_terms import add_lens_terms
 from microlib.microscope import Microscope
 
 
@@ -213,10 +213,12 @@ def _build_result(
     outer = by_fitted @ np.where(np.isfinite(inner), inner, 0.0) @ by_fitted.T
     outer[undetermined] = outer[:, undetermined] = np.nan
     outer[undetermined, undetermined] = np.inf
+    residuals = -fit.residuals.reshape(-1, 2)
+    ends = np.cumsum([len(world) for world in views.world])[:-1]
+    # Beside the thesis' projection of a point, so that the other lens terms need no inverse.
     plane_residuals = [
-        scope.back_project(without_lens_terms(lens, image, scope.cell) + scope.principal_point)
-        - world
-        for scope, image, world in zip(scopes, views.image, views.world, strict=True)
+        scope.back_project(scope.project(world) + part) - world
+        for scope, world, part in zip(scopes, views.world, np.split(residuals, ends), strict=True)
     ]
     return Calibration(
         microscope=scopes[0],
@@ -225,7 +227,7 @@ def _build_result(
         covariance=outer,
         undetermined=tuple(names[undetermined].tolist()),
         dof=fit.dof if marks is None else int(marks.max()),
-        residuals=-fit.residuals.reshape(-1, 2),
+        residuals=residuals,
         plane_residuals=np.concatenate(plane_residuals),
         misfit=test.misfit,
         p_value=test.p_value,

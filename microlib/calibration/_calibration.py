@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from microlib._common import Array, Tidy, as_array, flat_row, one_of, scalar
+from microlib._common import Array, Result, as_array, one_of, scalar
 from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
 from microlib.microscope import Microscope, distort
 
@@ -24,7 +24,7 @@ _NUMBERS = (
 
 
 @dataclass(frozen=True)
-class ErrorSummary(Tidy):
+class ErrorSummary(Result):
     """Statistics of the distances between two sets of points, as in Table 5.2.
 
     Parameters
@@ -47,7 +47,7 @@ class ErrorSummary(Tidy):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration(Tidy):
+class Calibration(Result):
     """A calibrated microscope with the covariance of its parameters.
 
     Parameters
@@ -85,17 +85,6 @@ class Calibration(Tidy):
         fitted to this one (cross-validation in five folds). NaN for fewer than three views, or
         where the fit fails.
     """
-
-    _large = (
-        "residuals",
-        "plane_residuals",
-        "microscope",
-        "parameters",
-        "estimate",
-        "covariance",
-        "views",
-        "held_out",
-    )
 
     microscope: Microscope
     parameters: tuple[str, ...]
@@ -203,20 +192,6 @@ class Calibration(Tidy):
         low, high = self.interval("magnification", level)
         cell = float(self.microscope.cell[0])
         return cell / self.microscope.magnification, cell / high, cell / low if low else np.inf
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the calibration as a flat dictionary that JSON can hold.
-
-        Returns
-        -------
-        dict
-            Every parameter of the microscope by its name, its standard deviation as ``…_sigma``
-            where it was estimated, the fields with one value, and both summaries of the errors.
-        """
-        sigma = {f"{name}_sigma": value for name, value in self.sigma.items()}
-        errors = {"reprojection": self.reprojection, "plane_error": self.plane_error}
-        scope = {**vars(self.microscope), "magnification": self.microscope.magnification}
-        return flat_row({**scope, **sigma, **errors}) | super().to_dict()
 
     def to_frame(self) -> pd.DataFrame:
         """Return the parameters as a table.

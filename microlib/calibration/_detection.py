@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy
+from microlib._common import Array, Result
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,7 +18,7 @@ MIN_MARKS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Detection(Tidy):
+class Detection(Result):
     """Points of a calibration pattern found in an image.
 
     Parameters
@@ -44,8 +44,6 @@ class Detection(Tidy):
     image_size : tuple of int
         Width and height of the photograph, px.
     """
-
-    _large = ("grid", "positions", "points", "sigma", "group")
 
     points: Array
     grid: NDArray[np.intp]

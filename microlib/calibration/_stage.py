@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, as_array, same_length
+from microlib._common import Array, Result, as_array, same_length
 from microlib.calibration._uncertainty import KILOMETER, reciprocal_interval, student_quantile
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StageAffine(Tidy):
+class StageAffine(Result):
     """Affine map from stage positions to the image.
 
     Parameters
@@ -32,10 +32,6 @@ class StageAffine(Tidy):
     residuals : ndarray, shape (N, 2)
         Image points minus the map, px.
     """
-
-    _parts = (("matrix", ("x", "y"), ("x", "y", "shift")),)
-
-    _large = ("residuals", "covariance")
 
     matrix: Array
     covariance: Array

@@ -224,21 +224,15 @@ def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[i
     if found.status == 0 and len(poses) > 1:
         raise ValueError(need)
     residuals, jacobian = evaluate(found.x.tobytes())
-    lens, poses = split(found.x)
-    # Of the parameters with equal images those with 1/(T_op + f) ≥ 0 and M ≥ 0. The images are
-    # equal with −1/(T_op + f) and the opposite tilts (β, γ), and, for a view, with −M, the opposite
-    # tilts and shifts, and half a turn more.
-    lens_signs, pose_signs = np.ones(len(LENS)), np.ones(poses.shape)
+    lens, _ = split(found.x)
+    # The images are equal with −1/(T_op + f) and the opposite tilts (β, γ).
+    signs = np.ones(len(start))
     if lens[0] < 0:
-        lens_signs[0] = -1
-        pose_signs[:, 2:4] *= -1
-    mirrored = (poses[:, 0] < 0) & (given is None)
-    pose_signs[mirrored] *= [-1, 1, -1, -1, -1, -1]  # of `POSE`
-    lens, poses = lens * lens_signs, poses * pose_signs
-    poses[mirrored, 1] += np.pi
+        signs[0] = -1
+        signs[first:].reshape(poses.shape)[:, 2:4] = -1
+    lens, poses = split(found.x * signs[free])
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))  # to (−π, π]
-    jacobian = jacobian * np.concatenate([lens_signs, pose_signs.ravel()])[free]
-    return Fit(lens=lens, poses=poses, free=free, residuals=residuals, jacobian=jacobian)
+    return Fit(lens, poses, free, residuals, jacobian * signs[free])
 
 
 def _starts(one: Views) -> list[tuple[Array, Array]]:

@@ -6,7 +6,6 @@ from contextlib import suppress
 
 import numpy as np
 
-from microlib._common import Array
 from microlib.calibration._views import LENS, Fit, Views, least_squares_fit
 
 #: Indices in `LENS` of the parameters that are added together if several views determine them.
@@ -27,16 +26,3 @@ def add_lens_terms(views: Views, fit: Fit) -> Fit:
             if best.rss - trial.rss > penalty * views.residual_variance(trial):
                 best = trial
     return best
-
-
-def without_lens_terms(lens: Array, image: Array, cell: Array) -> Array:
-    """Image points, px, without the second distortion term and the shift of the principal point.
-
-    The inverse of p (1 + κ₂ r⁴) + c by fixed-point iteration.
-    """
-    shifted = image - lens[3:]
-    points = shifted
-    for _ in range(8):  # each iteration leaves four times the term, a few hundredths, of the error
-        radius2 = ((points * cell) ** 2).sum(axis=1, keepdims=True)
-        points = shifted / (1 + lens[2] * radius2**2)
-    return points

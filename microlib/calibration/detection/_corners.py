@@ -8,13 +8,11 @@ this rule skips no row.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from microlib._common import Array
 from microlib.calibration._detection import MIN_MARKS
@@ -106,29 +104,16 @@ def _grow_board(grey: NDArray[np.float32], blur: float, kind: str) -> tuple[Arra
         raise ValueError("no board is found")
     # Most saddle points of a ChArUco board belong to its markers.
     near = neighbors(centers, 50 if kind == "charuco" else 12)
-    step = centers[near] - centers[:, None]
-    toward = step / np.linalg.norm(step, axis=2, keepdims=True)
-    opposite = np.einsum("nij,nkij->nk", hessians, hessians[near]) < -1 / 2
+    toward = centers[near] - centers[:, None]
+    toward /= np.linalg.norm(toward, axis=2, keepdims=True)
     along = np.abs(np.einsum("nki,nij,nkj->nk", toward, hessians, toward)) < 1 / 4
-    first = opposite & along
 
-    tree = cKDTree(centers)
+    def may_adjoin(here: Index | int, there: Index | int) -> NDArray[np.bool_]:
+        return np.asarray((hessians[here] * hessians[there]).sum(axis=(-2, -1)) < -1 / 2)
 
-    def may_adjoin(here: int, there: int) -> bool:
-        return bool((hessians[here] * hessians[there]).sum() < -1 / 2)
-
-    def first_steps(seed: int) -> Iterator[Array]:
-        candidates = np.flatnonzero(first[seed])
-        for one in candidates[:3]:
-            (x, y), (u, v) = toward[seed, one], toward[seed, candidates].T
-            for other in candidates[np.abs(x * v - y * u) > 1 / 2][:3]:
-                steps = step[seed, [one, other]]
-                distance, fourth = tree.query(centers[seed] + steps.sum(axis=0))
-                if 3 * distance < np.hypot(*steps[0]) and may_adjoin(near[seed, one], fourth):
-                    yield steps
-
+    suits = along & may_adjoin(np.arange(len(near))[:, None], near)
     # Under a strong distortion one step differs from the next by a quarter.
-    pieces = grow_pieces(centers, range(len(centers)), first_steps, may_adjoin, tolerance=1 / 3)
+    pieces = grow_pieces(centers, near, suits, may_adjoin, tolerance=1 / 3)
     if not pieces:
         raise ValueError("no board is found")
     return centers[pieces[0][0]], pieces[0][1]

@@ -7,18 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_image, luminance, one_of
 from microlib.calibration._detection import Detection
-from microlib.calibration.detection._lattice import STEPS
 from microlib.calibration.detection._micrometer import Micrometer, find_scale
-from microlib.calibration.detection._patterns import Scene, find_pattern
+from microlib.calibration.detection._patterns import find_pattern
+from microlib.calibration.detection._settings import Settings
 
-#: Patterns by name, in the order of the search, with their marks and lattice.
-_PATTERNS = {
-    "chessboard": ("chessboard", "square"),
-    "charuco": ("charuco", "square"),
-    "squares": ("squares", "square"),
-    "circles, square lattice": ("circles", "square"),
-    "circles, hexagonal lattice": ("circles", "hexagonal"),
-}
+_SETTINGS = Settings()
 
 
 def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detection]:
@@ -29,13 +22,12 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue, which are converted to luminance.
     marks : {"auto", "chessboard", "charuco", "squares", "circles"}
-        Kind of the pattern, by default the first of these that is found. Circles may lie on a
-        square or a hexagonal lattice.
+        Kind of the pattern, by default the first of these that is found.
 
     Returns
     -------
     name : str
-        Kind of the pattern; for circles with their lattice.
+        Kind of the pattern.
     found : Detection
         Result of the function for this kind.
 
@@ -54,33 +46,25 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     ('chessboard', 30)
     """
     one_of("marks", marks, ("auto", "chessboard", "charuco", "squares", "circles"))
-    scene = Scene(_grey(image))
-    faults: dict[str, None] = {}
-    for name, (kind, lattice) in _PATTERNS.items():
-        if marks in ("auto", kind):
-            try:
-                return name, find_pattern(scene, kind, lattice)
-            except ValueError as fault:
-                faults[str(fault)] = None
+    grey, faults = _grey(image), []
+    for kinds in (["chessboard"], ["charuco"], ["squares", "circles"]):
+        asked = [kind for kind in kinds if marks in ("auto", kind)]
+        try:
+            if asked:
+                return find_pattern(grey, asked, _SETTINGS)
+        except ValueError as fault:
+            faults.append(str(fault))
     raise ValueError("; ".join(faults))
 
 
-def detect_circles(
-    image: ArrayLike,
-    *,
-    lattice: str = "square",
-) -> Detection:
-    """Detect the circles of a regular grid; return their centers with their grid coordinates.
+def detect_circles(image: ArrayLike) -> Detection:
+    """Detect the circles of a square grid; return their centers with their grid coordinates.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue, which are converted to luminance. The
         circles are darker than their background or, if no such grid is found, brighter.
-    lattice : {"square", "hexagonal", "asymmetric"}
-        Lattice of the circles. The second step of a hexagonal lattice is at 60° to the first. In an
-        asymmetric grid, every second row is shifted by half a step, and x and y count half steps
-        and rows, as in OpenCV. Circles on another lattice raise an error.
 
     Returns
     -------
@@ -101,6 +85,9 @@ def detect_circles(
     distortion, the center of the ellipse is not the image of the center of the circle. This bias is
     computed with a map from the grid to the image that is fitted to the points, and subtracted.
 
+    OpenCV's asymmetric grid is a square lattice, turned by 45°. Its pitch is the distance of the
+    nearest circles.
+
     An image with only the grid is thresholded. In other images, circles are searched among the
     closed contours of many grey levels, dark and bright.
 
@@ -115,8 +102,7 @@ def detect_circles(
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (9, True)
     """
-    lattice = one_of("lattice", lattice, tuple(STEPS))
-    return find_pattern(Scene(_grey(image)), "circles", lattice)
+    return find_pattern(_grey(image), ["circles"], _SETTINGS)[1]
 
 
 def detect_squares(
@@ -174,7 +160,7 @@ def detect_squares(
     (16, True, 0.5)
     """
     pattern = one_of("pattern", pattern, ("squares", "chessboard"))
-    return find_pattern(Scene(_grey(image)), pattern)
+    return find_pattern(_grey(image), [pattern], _SETTINGS)[1]
 
 
 def detect_charuco(image: ArrayLike) -> Detection:
@@ -213,7 +199,7 @@ def detect_charuco(image: ArrayLike) -> Detection:
     >>> len(found.points), found.grid.max(axis=0).tolist()
     (12, [3, 2])
     """
-    return find_pattern(Scene(_grey(image)), "charuco")
+    return find_pattern(_grey(image), ["charuco"], _SETTINGS)[1]
 
 
 def detect_micrometer(image: ArrayLike) -> Micrometer:
@@ -251,8 +237,7 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     >>> len(scale.points), round(scale.spacing, 2), round(scale.um_per_pixel(10.0)[0], 3)
     (11, 17.2, 0.581)
     """
-    scene = Scene(_grey(image))
-    return find_scale(scene.grey, scene.settings)
+    return find_scale(_grey(image), _SETTINGS)
 
 
 def _grey(image: ArrayLike) -> NDArray[np.float32]:

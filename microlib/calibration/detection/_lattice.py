@@ -1,14 +1,10 @@
-"""Lattices of marks: grown from mark to mark, completed, compared with the image, and indexed.
-
-The images of round marks are ellipses. The inverse of the map from lattice coordinates to the image
-makes all of them one ellipse, which is the metric of the coordinates. It distinguishes a square
-lattice from a tilted hexagonal one; the centers alone do not.
-"""
+"""Square lattices of marks: grown from mark to mark, completed, compared with the image, and
+indexed."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -21,12 +17,6 @@ from microlib.calibration.detection._grid_map import fit_grid_map
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._settings import Settings
 
-#: Lattices by name, and the coordinates of their steps in the pattern's plane, in pitches.
-STEPS = {
-    "square": np.eye(2),
-    "hexagonal": np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]]),
-    "asymmetric": np.eye(2),
-}
 #: Integer coordinates of marks, or the indices of some.
 Index = NDArray[np.intp]
 #: The center, the one point of a round mark.
@@ -35,75 +25,48 @@ MIDDLE = np.zeros((1, 2))
 CELL = np.stack(np.meshgrid(*2 * [(np.arange(16) - 7.5) / 16]), axis=-1).reshape(-1, 2)
 
 
-def grow_lattices(marks: Marks, lattice: str) -> list[tuple[Marks, Index]]:
-    """Connected pieces of a lattice among the marks, the largest first, with their coordinates.
-
-    A piece starts from a mark whose neighbors have its shape, and from two steps to neighbors that
-    are of equal length and at the angle of the lattice in the metric given by the shape of the
-    mark. Each step predicts the next.
-    """
+def grow_lattices(marks: Marks) -> list[tuple[Marks, Index]]:
+    """Connected pieces of a square lattice among the marks, the largest first, with their
+    coordinates."""
     if len(marks.centers) < MIN_MARKS:
         return []
-    whitening, near, similar = _similar_neighbors(marks)
-    angle = np.pi / 3 if lattice == "hexagonal" else np.pi / 2
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
-    def first_steps(seed: int) -> Iterator[Array]:
-        steps = (marks.centers[near[seed]] - marks.centers[seed])[similar[seed]]
-        flat = steps @ whitening[seed]
-        length = np.hypot(*flat.T)
-        for first in np.argsort(length)[:4]:
-            off = np.hypot(*(flat - flat[first] @ turn).T)
-            second = int(np.argmin(off))
-            if second != first and off[second] < length[first] / 4:
-                yield steps[[first, second]]
+    def may_adjoin(here: Index | int, there: Index | int) -> NDArray[np.bool_]:
+        ratio = marks.areas[there] / marks.areas[here]
+        return np.asarray((ratio > 1 / 2) & (ratio < 2))
 
-    def may_adjoin(here: int, there: int) -> bool:
-        return bool(1 / 2 < marks.areas[there] / marks.areas[here] < 2)
-
-    seeds = np.argsort(-similar.sum(axis=1), kind="stable")
-    pieces = grow_pieces(marks.centers, seeds, first_steps, may_adjoin)
+    near = neighbors(marks.centers)
+    index = np.arange(len(near))[:, None]
+    pieces = grow_pieces(marks.centers, near, may_adjoin(index, near), may_adjoin)
     return [(marks[index], grid) for index, grid in pieces]
 
 
 def neighbors(centers: Array, most: int = 12) -> Index:
-    """Indices of the nearest marks of each mark, (n, k), the nearest first.
-
-    A mark of a hexagonal lattice has six neighbors, and clutter may lie between them.
-    """
+    """Indices of the nearest marks of each mark, (n, k), the nearest first."""
     count = min(most + 1, len(centers))
     return np.asarray(cKDTree(centers).query(centers, k=count)[1][:, 1:], dtype=np.intp)
 
 
-def _similar_neighbors(marks: Marks) -> tuple[Array, Index, NDArray[np.bool_]]:
-    """The matrix (2, 2) that makes each mark a circle, its neighbors (n, k), and which of them have
-    a similar shape and area."""
-    values, vectors = np.linalg.eigh(marks.moments)
-    whitening = (vectors / np.sqrt(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
-    near = neighbors(marks.centers)
-    ratio = marks.areas[near] / marks.areas[:, None]
-    whitened = whitening[:, None] @ marks.moments[near] @ whitening[:, None]
-    difference = np.linalg.norm(whitened / ratio[..., None, None] - np.eye(2), axis=(2, 3))
-    return whitening, near, (ratio > 1 / 2) & (ratio < 2) & (difference < 1 / 2)
-
-
 def grow_pieces(
     centers: Array,
-    seeds: Iterable[int],
-    first_steps: Callable[[int], Iterator[Array]],
-    may_adjoin: Callable[[int, int], bool],
+    near: Index,
+    suits: NDArray[np.bool_],
+    may_adjoin: Callable[[int, int], NDArray[np.bool_]],
     tolerance: float = 1 / 4,
 ) -> list[tuple[Index, Index]]:
-    """Pieces of a lattice grown from seeds: indices of the marks and their coordinates.
+    """Pieces of a lattice grown from each mark: indices of the marks and their coordinates.
+
+    A piece starts from a mark and two neighbors, beside both of which lies a fourth mark. Each
+    step predicts the next.
 
     Parameters
     ----------
     centers : ndarray, shape (N, 2)
-        Centers of the marks, px.
-    seeds : iterable of int
-        Indices of the marks to start from, in this order.
-    first_steps : callable
-        Function of a seed that yields pairs of steps (2, 2) to try, px.
+        Centers of the marks, px, those to start from first.
+    near : ndarray of int, shape (N, k)
+        Neighbors of each mark, the nearest first.
+    suits : ndarray of bool, shape (N, k)
+        Whether the step to a neighbor may be a step of the lattice.
     may_adjoin : callable
         Function of two marks: whether they may be neighbors on the lattice.
     tolerance : float
@@ -111,8 +74,22 @@ def grow_pieces(
     """
     tree = cKDTree(centers)
     free = np.ones(len(centers), dtype=bool)
+    step = centers[near] - centers[:, None]
+
+    def first_steps(seed: int) -> Iterator[Array]:
+        length = np.hypot(*step[seed].T)
+        candidates = np.flatnonzero(suits[seed])
+        for one in candidates[:3]:
+            (x, y), (u, v) = step[seed, one], step[seed, candidates].T
+            aside = np.abs(x * v - y * u) > length[one] * length[candidates] / 2
+            for other in candidates[aside][:3]:
+                steps = step[seed, [one, other]]
+                distance, fourth = tree.query(centers[seed] + steps.sum(axis=0))
+                if 3 * distance < length[one] and may_adjoin(near[seed, one], fourth):
+                    yield steps
+
     pieces = []
-    for seed in map(int, seeds):
+    for seed in range(len(centers)):
         best: dict[tuple[int, int], int] = {}
         for steps in first_steps(seed) if free[seed] else ():
             best = max(best, _grow(centers, tree, seed, steps, may_adjoin, tolerance), key=len)
@@ -131,7 +108,7 @@ def _grow(
     tree: cKDTree,
     seed: int,
     steps: Array,
-    may_adjoin: Callable[[int, int], bool],
+    may_adjoin: Callable[[int, int], NDArray[np.bool_]],
     tolerance: float,
 ) -> dict[tuple[int, int], int]:
     """Marks by their lattice coordinates, found breadth-first from the seed."""
@@ -234,8 +211,11 @@ def correlation(
     return np.asarray(np.min(correlations, axis=0))
 
 
-def check_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings) -> None:
-    """Raise an error if marks differ in shape or lie on another lattice than the named one.
+def check_lattice(shapes: Array, steps: Array, settings: Settings) -> None:
+    """Raise an error if circles differ in shape, or lie on another lattice than a square one.
+
+    The inverse of the map from lattice coordinates to the image makes one ellipse of the images of
+    all circles. It is the metric of the coordinates, which the centers alone do not determine.
 
     Parameters
     ----------
@@ -243,8 +223,6 @@ def check_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings)
         Second moments of each mark in the image, up to one factor, px².
     steps : ndarray, shape (N, 2, 2)
         Derivatives of the image by the grid's coordinates there, px.
-    lattice : str
-        Name of the lattice, one of `STEPS`.
     settings : Settings
         Settings of the detection.
     """
@@ -257,11 +235,9 @@ def check_lattice(shapes: Array, steps: Array, lattice: str, settings: Settings)
         raise ValueError(f"image must show marks of one shape, got a scatter of {scatter:.0%}")
     (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor
     ratio, cosine = np.sqrt(max(a, c) / min(a, c)), b / np.sqrt(a * c)
-    wanted = 0.5 if lattice == "hexagonal" else 0.0
-    if max(ratio - 1, abs(cosine - wanted)) > settings.max_skew:
-        name = "hexagonal" if wanted else "square"
+    if max(ratio - 1, abs(cosine)) > settings.max_skew:
         raise ValueError(
-            f"image must show circles on a {name} lattice, got steps of 1 : {ratio:.2f} at "
+            f"image must show circles on a square lattice, got steps of 1 : {ratio:.2f} at "
             f"{np.rad2deg(np.arccos(cosine)):.0f}°"
         )
 
@@ -276,22 +252,18 @@ def fill(grid: Index) -> float:
     return len(grid) / int(cv2.fillConvexPoly(inside, cv2.convexHull(places), 1).sum())
 
 
-def index_basis(points: Array, grid: Index, lattice: str) -> Array:
-    """Matrix (2, 2) from coordinates of equal steps to those of the result.
+def index_basis(points: Array, grid: Index) -> Array:
+    """Matrix (2, 2) from coordinates of a lattice to those of the result.
 
     Their first step is that which points most to the right in the image, and their second step is
     clockwise from it, as y is from x.
     """
     steps = mean_steps(points, grid)
-    axes = np.array([[1, 0], [0, 1], [-1, 1]][: 3 if lattice == "hexagonal" else 2])
-    axes = np.concatenate([axes, -axes])  # in all directions
+    axes = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
     seen = axes @ steps
-    # The square lattice of an asymmetric grid is turned by 45°.
-    right = [1, 1] if lattice == "asymmetric" else [1, 0]
-    first = int(np.argmax(seen @ right / np.hypot(*seen.T)))
+    first = int(np.argmax(seen[:, 0] / np.hypot(*seen.T)))
     turn = 1 if np.linalg.det(steps) > 0 else -1
-    basis = np.linalg.inv(np.stack([axes[first], axes[(first + turn) % len(axes)]]))
-    return basis @ [[1, 1], [-1, 1]] if lattice == "asymmetric" else basis
+    return np.linalg.inv(axes[[first, (first + turn) % 4]])
 
 
 def mean_steps(points: Array, grid: Index) -> Array:

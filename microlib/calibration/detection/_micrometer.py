@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy, scalar
+from microlib._common import Array, Result, scalar
 from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
 from microlib.calibration.detection._settings import Settings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Micrometer(Tidy):
+class Micrometer(Result):
     """Lines of a stage micrometer found in an image.
 
     Parameters
@@ -32,8 +32,6 @@ class Micrometer(Tidy):
     angle : float
         Direction across the lines, measured from the x axis of the image towards y, rad.
     """
-
-    _large = ("divisions", "points", "residuals")
 
     points: Array
     divisions: NDArray[np.intp]

@@ -8,9 +8,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from microlib.calibration.detection._grid_map import GridMap, check_residuals, f
 from microlib.calibration.detection._lattice import (
     CELL,
     MIDDLE,
-    STEPS,
     Index,
     check_lattice,
     complete,
@@ -38,92 +36,77 @@ from microlib.calibration.detection._shapes import CORNERS, FittedMarks, are_rou
 _BOARDS = ("chessboard", "charuco")
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """An image and its marks, which are computed at their first use.
-
-    Parameters
-    ----------
-    grey : ndarray of float32, shape (height, width)
-        Grey levels.
-    settings : Settings
-        Settings of the detection.
-    """
-
-    grey: NDArray[np.float32]
-    settings: Settings = field(default_factory=Settings)
-
-    @cached_property
-    def dark(self) -> Marks:
-        """Dark regions by one threshold."""
-        return dark_regions(self.grey, self.settings)
-
-    @cached_property
-    def edges(self) -> list[Marks]:
-        """Regions in clutter with an even edge, dark and bright."""
-        return even_edges(self.grey, self.settings)
-
-
-def find_pattern(scene: Scene, kind: str, lattice: str = "square") -> Detection:
+def find_pattern(
+    grey: NDArray[np.float32], kinds: Sequence[str], settings: Settings
+) -> tuple[str, Detection]:
     """Detect circles, squares, or the corners of a chessboard or ChArUco board in an image.
+
+    `kinds` has one name, or "squares" and "circles", of which the first result has the name.
 
     Raises
     ------
     ValueError
-        If the image does not show them on such a lattice.
+        If the image does not show them on a square lattice.
     """
-    fault = ""
-    for marks, grid, alone in _candidates(scene, kind, lattice):
+    fault = f"image must show a grid of {' or '.join(kinds)}, got none"
+    for number, (marks, grid, alone) in enumerate(_candidates(grey, kinds, settings)):
         try:
-            found = _fit(marks, grid, kind, lattice)
+            kind, found = _fit(marks, grid, kinds)
             # A homography maps any four points to any others, and clutter has many.
             if alone or np.isfinite(found.misfit):
-                return found
+                return kind, found
             raise ValueError(f"image must show more {kind} or nothing else, got {len(grid)}")
         except ValueError as error:
-            fault = fault or str(error)  # of the largest lattice
-    raise ValueError(fault or f"image must show a grid of {kind}, got none")
+            if number == 0:  # of the largest lattice
+                fault = str(error)
+    raise ValueError(fault)
 
 
-def _candidates(scene: Scene, kind: str, lattice: str) -> Iterator[tuple[Marks, Index, bool]]:
+def _candidates(
+    grey: NDArray[np.float32], kinds: Sequence[str], settings: Settings
+) -> Iterator[tuple[Marks, Index, bool]]:
     """Lattices of marks, the most likely first, and whether the image shows nothing else.
 
     The first is a lattice of most dark regions of the image; then follow the largest lattices in
     clutter.
     """
-    if kind in _BOARDS:
-        yield *find_corners(scene.grey, kind, scene.settings), True
+    if kinds[0] in _BOARDS:
+        yield *find_corners(grey, kinds[0], settings), True
         return
-    pieces = grow_lattices(scene.dark, lattice)[:1]
-    if pieces and len(pieces[0][1]) >= scene.settings.only_pattern * len(scene.dark.centers):
+    dark = dark_regions(grey, settings)
+    pieces = grow_lattices(dark)[:1]
+    if pieces and len(pieces[0][1]) >= settings.only_pattern * len(dark.centers):
         yield *complete(*pieces.pop()), True
-    for edges in scene.edges:
-        pieces += grow_lattices(edges, lattice)
+    for edges in even_edges(grey, settings):
+        pieces += grow_lattices(edges)
     for piece in sorted(pieces, key=lambda piece: -len(piece[1]))[:4]:
         yield *complete(*piece), False
 
 
-def _fit(marks: Marks, grid: Index, kind: str, lattice: str) -> Detection:
+def _fit(marks: Marks, grid: Index, kinds: Sequence[str]) -> tuple[str, Detection]:
     """Fit the marks of a lattice, and test that they form the pattern."""
+    kind = kinds[0]
     settings, shape = marks.settings, marks.image.shape
     to_image, _ = fit_grid_map(marks.centers[:, None], grid.astype(float), MIDDLE, shape)
     steps = to_image.steps(grid)
     if not to_image.scale(grid).min() > 1:
         raise ValueError(f"image must show a plane grid of {kind}, got marks that are on none")
-    if kind not in _BOARDS and are_round(marks, steps) != (kind == "circles"):
-        raise ValueError(f"image must show {kind}, got marks of another shape")
+    if kind not in _BOARDS:
+        kind = "circles" if are_round(marks, steps) else "squares"
+    if kind not in kinds:
+        raise ValueError(f"image must show {kinds[0]}, got {kind}")
     fitted = fit_marks(marks, grid, steps, kind)
     share = fill(fitted.grid)
     if share < settings.min_fill:
         raise ValueError(f"image must show a grid of {kind}, got {share:.0%} of its marks")
     if kind == "circles":
-        check_lattice(fitted.ellipses @ fitted.ellipses, fitted.steps, lattice, settings)
-    basis = index_basis(fitted.points.mean(axis=1), fitted.grid, lattice)
+        check_lattice(fitted.ellipses @ fitted.ellipses, fitted.steps, settings)
+    basis = index_basis(fitted.points.mean(axis=1), fitted.grid)
     fitted = replace(fitted, grid=np.round(fitted.grid @ basis).astype(np.intp))
     offsets: Array = CORNERS @ basis if kind == "squares" else MIDDLE
     limit = settings.max_board_residual if kind in _BOARDS else settings.max_residual
     while True:
-        cells = fitted.grid @ STEPS[lattice]
+        cells = fitted.grid.astype(float)
         unbiased = _remove_bias(fitted, cells, offsets, kind, marks)
         to_image, positions = fit_grid_map(unbiased, cells, offsets, shape)
         test = check_residuals(unbiased, positions, to_image, fitted.sigma, limit, settings)
@@ -135,15 +118,15 @@ def _fit(marks: Marks, grid: Index, kind: str, lattice: str) -> Detection:
         areas = np.pi * np.abs(np.linalg.det(fitted.ellipses)) / to_image.scale(cells)
         size = side if kind == "squares" else float(np.sqrt(np.median(areas)))
         centers, steps = unbiased.mean(axis=1), to_image.steps(cells)
-        _check_surroundings(marks, centers, steps, size, kind, lattice)
+        _check_surroundings(marks, centers, steps, size, kind)
     first = fitted.grid[:, None] - fitted.grid.min(axis=0)
     ends = (offsets > 0).astype(np.intp)
-    return Detection(
+    return kind, Detection(
         points=unbiased.reshape(-1, 2),
         grid=(first * (2 if kind == "squares" else 1) + ends).reshape(-1, 2),
         sigma=test.sigma.ravel(),
         group=np.repeat(np.arange(len(first)), unbiased.shape[1]),
-        positions=(first @ STEPS[lattice] + side * ends).reshape(-1, 2),
+        positions=(first + side * ends).reshape(-1, 2),
         side=np.nan if kind == "circles" else side,
         misfit=test.misfit,
         image_size=(shape[1], shape[0]),
@@ -167,21 +150,18 @@ def _remove_bias(
     return fitted.points
 
 
-def _check_surroundings(
-    marks: Marks, centers: Array, steps: Array, size: float, kind: str, lattice: str
-) -> None:
+def _check_surroundings(marks: Marks, centers: Array, steps: Array, size: float, kind: str) -> None:
     """Raise an error if the image around the marks does not correlate with the drawn pattern.
 
     Other marks lie between the marks of a sublattice and on a chessboard.
     """
-    places = CELL @ STEPS[lattice]
-    radius = 2 * np.abs(places).max(axis=1)
+    radius = 2 * np.abs(CELL).max(axis=1)
     if kind == "circles":
-        radius = np.sqrt(np.pi) * np.hypot(*places.T)
+        radius = np.sqrt(np.pi) * np.hypot(*CELL.T)
     drawn = np.where(radius < size, 1.0, 0.0)
-    between = centers + steps @ STEPS[lattice].mean(axis=0)
+    between = centers + steps.mean(axis=2)
     on_marks, between_marks = (
-        float(np.median(correlation(marks.smooth, at, steps, places, sign * drawn)))
+        float(np.median(correlation(marks.smooth, at, steps, CELL, sign * drawn)))
         for at, sign in ((centers, 1), (between, -1))
     )
     if on_marks < max(marks.settings.min_correlation, between_marks):  # between blurred circles
