@@ -24,7 +24,6 @@ from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from microlib import (
@@ -80,12 +79,6 @@ def lines() -> np.ndarray:
 @cache
 def circles() -> np.ndarray:
     return synthetic.render_circles(replace(scope(), alpha=0.0, beta=0.0))
-
-
-@cache
-def charuco() -> np.ndarray:
-    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
 
 
 @cache
@@ -202,7 +195,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     },
     "calibration.detect_circles": lambda: {"image": circles()},
     "calibration.detect_squares": lambda: {"image": squares()},
-    "calibration.detect_charuco": lambda: {"image": charuco()},
     "calibration.detect_pattern": lambda: {"image": squares(), "marks": "squares"},
     "calibration.detect_micrometer": lambda: {"image": lines()},
     "calibration.detection._micrometer.Micrometer.um_per_pixel": lambda: {
@@ -269,7 +261,7 @@ MAY_BE_UNKNOWN = {
     "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
     "calibration.Calibration",
     # circles have no side, nor have corners
-    "calibration.detect_circles", "calibration.detect_charuco",
+    "calibration.detect_circles",
     # three moves leave no residual to tell an error by
     "calibration.stage_affine",
     # NaN far from the dimple

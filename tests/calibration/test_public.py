@@ -19,10 +19,9 @@ from microlib.calibration import (
     radial_alignment,
     stage_affine,
 )
-from microlib.calibration._uncertainty import group_jackknife
 from microlib.microscope import Microscope
 from microlib.synthetic import render_circles, render_squares
-from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
+from tests.calibration import test_boards, test_detection, test_micrometer, test_stage
 from tests.laws import (
     NUMBER,
     SAME,
@@ -107,9 +106,6 @@ LAWS = {
         covariance(um**-2, NUMBER, um),
         within=1e-6,
     ),
-    "calibration.detect_charuco": TestedBy(
-        test_charuco.test_charuco_corners_are_accurate_and_named
-    ),
     "calibration.detect_circles": TestedBy(
         test_detection.test_all_complete_circles_of_thesis_views_are_detected
     ),
@@ -175,17 +171,6 @@ def test_micrometer_sigma_uses_degrees_of_freedom_of_lines(count, draws):
     value, low, high = found.um_per_pixel(10.0)
     ends = found.spacing + student(count - 2).ppf([0.975, 0.025]) * found.spacing_sigma
     np.testing.assert_allclose([value, low, high], 10.0 / np.array([found.spacing, *ends]))
-
-
-@pytest.mark.parametrize("groups", [4, 9, 40])
-def test_group_jackknife_of_mean_equals_closed_form(groups):
-    """Of a mean it is in closed form the squared scatter of the groups' means over their number."""
-    rng = np.random.default_rng(groups)
-    values = rng.normal(0, 1, (groups, 6))  # three points of two coordinates each
-    residuals = (values - values.mean()).ravel()
-    ones, marks = np.ones((6 * groups, 1)), np.repeat(np.arange(groups), 3)
-    found = group_jackknife(ones, np.eye(1) / len(ones), residuals, marks)
-    assert found[0, 0] == pytest.approx(values.mean(axis=1).var(ddof=1) / groups)
 
 
 def test_pose_follows_rotation_and_order_of_points():

@@ -22,7 +22,8 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue, which are converted to luminance.
     marks : {"auto", "chessboard", "charuco", "squares", "circles"}
-        Kind of the pattern, by default the first of these that is found.
+        Kind of the pattern, by default the first of these that is found. "charuco" are the inner
+        corners of a ChArUco board, a chessboard with markers in its fields.
 
     Returns
     -------
@@ -35,6 +36,14 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     ------
     ValueError
         If `image` is no image or shows no such pattern. The message names the reason for each kind.
+
+    Notes
+    -----
+    A part of a ChArUco board is enough. It may have any number of fields, and markers of any
+    dictionary, also printed inverted. Its corners are detected as those of a chessboard, but the
+    image is compared with a drawn board along the edges of the fields only, so that the markers
+    have no effect. The markers are not identified. As in other patterns, `grid` starts at the first
+    detected column and row.
 
     Examples
     --------
@@ -161,45 +170,6 @@ def detect_squares(
     """
     pattern = one_of("pattern", pattern, ("squares", "chessboard"))
     return find_pattern(_grey(image), [pattern], _SETTINGS)[1]
-
-
-def detect_charuco(image: ArrayLike) -> Detection:
-    """Detect the inner corners of a ChArUco board, a chessboard with markers in its fields.
-
-    Parameters
-    ----------
-    image : array_like, shape (height, width) or (height, width, 3 or 4)
-        Grey levels of any range, or red, green and blue. A part of the board is enough. It may have
-        any number of fields, and markers of any dictionary, also printed inverted.
-
-    Returns
-    -------
-    Detection
-        A point for each detected corner. The pitch is the side of a field.
-
-    Raises
-    ------
-    ValueError
-        If `image` is no image, or shows fewer than four corners of such a board, or a chessboard
-        without markers.
-
-    Notes
-    -----
-    The corners are detected as those of a chessboard. The image is compared with a drawn board
-    along the edges of the fields only, so that the markers have no effect, and the markers are not
-    identified. As in other patterns, `grid` starts at the first detected column and row.
-
-    Examples
-    --------
-    >>> import cv2
-    >>> from microlib.calibration import detect_charuco
-    >>> markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
-    >>> board = cv2.aruco.CharucoBoard((5, 4), 3.0, 2.0, markers)
-    >>> found = detect_charuco(board.generateImage((500, 400), marginSize=20))
-    >>> len(found.points), found.grid.max(axis=0).tolist()
-    (12, [3, 2])
-    """
-    return find_pattern(_grey(image), ["charuco"], _SETTINGS)[1]
 
 
 def detect_micrometer(image: ArrayLike) -> Micrometer:
