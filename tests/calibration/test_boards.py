@@ -247,10 +247,12 @@ def test_circles_that_nearly_touch_are_detected(size, blur, fewest):
     assert np.abs(beside(found, truth)).max() < 0.2
 
 
-def test_gaps_between_blurred_circles_are_rejected():
+def test_gaps_between_blurred_circles_are_no_circles():
     """They are round and bright, as the circles are round and dark."""
-    with pytest.raises(ValueError, match="image must show"):
-        detect_circles(board(SQUARE, size=0.4, blur=5.0)[0])
+    image, truth = board(SQUARE, size=0.4, blur=5.0)
+    found = detect_circles(image)
+    assert len(found.points) >= 30
+    assert np.abs(beside(found, truth)).max() < 0.3  # a gap is 24 px from the next center
 
 
 def test_four_circles_are_rejected_in_clutter_only():
