@@ -103,6 +103,7 @@ def _fit(marks: Marks, grid: Index, kinds: Sequence[str]) -> tuple[str, Detectio
         check_lattice(fitted.ellipses @ fitted.ellipses, fitted.steps, settings)
     basis = index_basis(fitted.points.mean(axis=1), fitted.grid)
     fitted = replace(fitted, grid=np.round(fitted.grid @ basis).astype(np.intp))
+    fitted = fitted[np.lexsort(fitted.grid.T)]  # row by row, wherever the lattice was begun
     offsets: Array = CORNERS @ basis if kind == "squares" else MIDDLE
     limit = settings.max_board_residual if kind in _BOARDS else settings.max_residual
     while True:
@@ -119,12 +120,15 @@ def _fit(marks: Marks, grid: Index, kinds: Sequence[str]) -> tuple[str, Detectio
         size = side if kind == "squares" else float(np.sqrt(np.median(areas)))
         centers, steps = unbiased.mean(axis=1), to_image.steps(cells)
         _check_surroundings(marks, centers, steps, size, kind)
-    first = fitted.grid[:, None] - fitted.grid.min(axis=0)
     ends = (offsets > 0).astype(np.intp)
+    # The corners of a square row by row, too.
+    order = np.lexsort(ends.T)
+    ends, unbiased, sigma = ends[order], unbiased[:, order], test.sigma[:, order]
+    first = fitted.grid[:, None] - fitted.grid.min(axis=0)
     return kind, Detection(
         points=unbiased.reshape(-1, 2),
         grid=(first * (2 if kind == "squares" else 1) + ends).reshape(-1, 2),
-        sigma=test.sigma.ravel(),
+        sigma=sigma.ravel(),
         group=np.repeat(np.arange(len(first)), unbiased.shape[1]),
         positions=(first + side * ends).reshape(-1, 2),
         side=np.nan if kind == "circles" else side,
