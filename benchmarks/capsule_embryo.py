@@ -29,7 +29,7 @@ from compendium import thesis
 from compendium.experiments.section_5_6 import thesis_dimple
 from microlib.embryo import extract_boundary, modulus_from_image
 from microlib.io import read_grey
-from microlib.membrane import SmallSlopeWarning, indent_capsule
+from microlib.membrane import SmallSlopeWarning, indent_capsule, modulus_std
 from microlib.synthetic import Embryo, embryo_image
 
 #: One image of each kind of probe for each. The method was developed on others: below 100, 200 to
@@ -209,10 +209,12 @@ def by_library(scene: Any, method: str) -> tuple[float, float, Any]:
 
 
 def by_thesis(scene: Any, _: str) -> tuple[float, float, None]:
-    """Return the modulus of LOESS, (5.1) and (5.3), which state no uncertainty."""
+    """Return modulus and relative deviation of LOESS, (5.1) and (5.3)."""
     dimple = thesis_dimple(extract_boundary(scene.image))
-    modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=scene.force)
-    return modulus, np.nan, None
+    sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    found = thesis.modulus(*sizes.values(), force=scene.force)
+    values = sizes | thesis.MEMBRANE | {"force": scene.force}
+    return found, modulus_std(values, {}, dimple_covariance=dimple.covariance) / found, None
 
 
 def measure(scene: Any, by: Callable[..., Any], method: str = "") -> dict[str, Any]:

@@ -266,7 +266,7 @@ MAY_BE_UNKNOWN = {
     "calibration.stage_affine",
     # NaN far from the dimple
     "embryo._dimple.DimpleFit.__call__",
-    # the covariance, which a smooth curve does not contain
+    # the covariance, where that of the curve is not known
     "embryo.dimple_geometry",
     # NaN where the three measures are equal or zero
     "focus.three_point_peak",
@@ -279,6 +279,8 @@ MAY_BE_UNKNOWN = {
     "curvature.surface_curvature",
     # a direction that the outline leaves open
     "embryo.fit_dimple", "embryo.modulus_from_image", "embryo.force_from_image",
+    # terms that coincide have infinite variances
+    "embryo.fit_gaussians",
     # unknown pixels are NaN
     "focus.FocusResult", "focus.depth_from_focus",
     # stretches are NaN where the wall is slack

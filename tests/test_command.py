@@ -389,8 +389,9 @@ POINTS = pd.read_csv(INPUTS / "outline.csv")
 @pytest.mark.parametrize(
     ("table", "code", "message"),
     [
-        (POINTS.assign(y=300 - POINTS["y"]), 2, "must show one dimple with y up"),
+        (POINTS.assign(y=300 - POINTS["y"]), 0, "with y pointing down"),
         (POINTS.assign(y=300 - POINTS["y"]).set_axis(["col", "row"], axis=1), 0, ""),
+        (POINTS.set_axis(["col", "row"], axis=1), 0, "with y pointing up"),
         (POINTS.set_axis(["x_um", "y_um"], axis=1), 2, "leave out --pixel-size"),
     ],
 )

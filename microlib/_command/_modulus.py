@@ -40,6 +40,9 @@ def run(a: argparse.Namespace) -> Files:
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
     y = -table.y if table.y_down else table.y
     measured = dimple_from_outline(table.x, y, pixel_size=size)
+    if measured.y_down:
+        seen = "up" if table.y_down else "down"
+        a.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
     left, left_text = _estimate(measured.left, values, stds)
     right, right_text = _estimate(measured.right, values, stds)
     low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))

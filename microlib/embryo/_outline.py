@@ -10,10 +10,10 @@ import re
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import MICROMETERS, Array, Tidy, as_array, same_length, scalar
 from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
@@ -24,6 +24,8 @@ from microlib.embryo._probe import MAD_TO_STD
 #: Spans of LOESS whose dimples are compared. The middle one is that of the thesis. A smaller span
 #: follows the corners at the bottom of a dimple and the noise more closely.
 SPANS = (0.15, 0.25, 0.35)
+#: Largest coordinate, px: above any outline, and far from where squares overflow.
+MOST_PIXELS = 1e9
 #: Number of parameters of eight Gaussians.
 _MIN_POINTS = 24
 
@@ -45,10 +47,10 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Parameters
     ----------
     path : path-like
-        Text in UTF-8 with two columns without names, or with columns x and y, or col and row, among
-        others. The separator is a comma, semicolon, tab or space. Decimal commas are read between
-        semicolons or tabs. Empty lines and text after a # are skipped. A name may have a unit, such
-        as ``x (px)`` or ``y_um``.
+        Text in UTF-8 or UTF-16 with two columns without names, or with columns x and y, or col and
+        row, among others. The separator is a comma, semicolon, tab or space. Decimal commas are
+        read if the separator is another one. Empty lines and text after a # are skipped. A name may
+        have a unit, such as ``x (px)`` or ``y_um``.
 
     Returns
     -------
@@ -72,15 +74,17 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     ...     read_outline(file).x
     array([1.5, 2. ])
     """
+    content = Path(path).read_bytes()
     try:
-        text = Path(path).read_text(encoding="utf-8-sig").replace('"', "")
+        wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+        text = content.decode("utf-16" if wide else "utf-8-sig").replace('"', "")
     except UnicodeDecodeError:
-        raise ValueError(f"{path} must be a table of text in UTF-8 with columns x and y") from None
+        raise ValueError(f"{path} must be a table of text with the columns x and y") from None
     numbered = enumerate(text.splitlines(), start=1)
     lines = [(k, found) for k, line in numbered if (found := line.partition("#")[0].strip())]
     # The last line determines the separator, because names may contain spaces.
-    separator = next((mark for mark in ";\t," if lines and mark in lines[-1][1]), None)
-    rows = [(k, [cell.strip() for cell in line.split(separator)]) for k, line in lines]
+    separator = _separator(lines[-1][1]) if lines else ","
+    rows = [(k, [cell.strip() for cell in re.split(separator, line)]) for k, line in lines]
     columns: tuple[tuple[int, int], float | None, bool] = (0, 1), None, False
     if rows and _numbers(rows[0][1], (0, 1)) is None:
         columns = _columns(path, rows.pop(0)[1])
@@ -94,6 +98,16 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
         raise ValueError(f"{path} must have numbers in the columns x and y, got none")
     x, y = np.transpose(np.array(points, dtype=float))
     return OutlineTable(x, y, *columns[1:])
+
+
+def _separator(line: str) -> str:
+    """Return the separator of a line of numbers as a regular expression."""
+    for mark in ";\t":
+        if mark in line:
+            return mark
+    cells = line.split()
+    decimal = len(cells) > 1 and not any(cell.strip(",") != cell for cell in cells)
+    return r"\s+" if decimal else ","
 
 
 def _numbers(cells: list[str], columns: tuple[int, int]) -> tuple[float, float] | None:
@@ -130,6 +144,8 @@ class OutlineDimple(Tidy):
         Eight Gaussians (5.1) fitted to the smoothed outline, px.
     x, y : ndarray, shape (n,)
         Part of the outline that was used, px; x ascending, y up from its lowest point.
+    y_down : bool
+        Whether the dimple was found with y pointing down.
     """
 
     _large = ("x", "y", "curve")
@@ -139,6 +155,7 @@ class OutlineDimple(Tidy):
     curve: GaussianSum
     x: Array
     y: Array
+    y_down: bool
 
 
 def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> OutlineDimple:
@@ -147,8 +164,9 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     Parameters
     ----------
     x, y : array_like, shape (n,)
-        Points of the outline, px, y up, with one y for each x, in any order. Of a closed outline,
-        give the upper part.
+        Points of the outline, px, y up. The order is that of the outline, or any order if there is
+        one y for each x. The upper part is used of an outline that turns back in x, such as a
+        closed outline. If only the inverted outline has a dimple, y points down.
     pixel_size : float
         Size of a pixel in the object plane, µm/px; 1 for points in µm.
 
@@ -160,8 +178,8 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     Raises
     ------
     ValueError
-        If the outline turns back in x, has fewer than 24 points within two radii of the bottom, has
-        no dimple, or has a dimple whose radius or depth is below three standard deviations.
+        If the outline has fewer than 24 points within two radii of the bottom, has no dimple, or
+        has a dimple whose radius or depth is below three standard deviations.
 
     See Also
     --------
@@ -188,9 +206,10 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     a = 60 µm, w_d = 63 µm
     """
     size = scalar("pixel_size", pixel_size, above=0)
-    points = as_array("x", x, shape=(None,)), as_array("y", y, shape=(None,))
+    limits: dict[str, Any] = {"shape": (None,), "least": -MOST_PIXELS, "most": MOST_PIXELS}
+    points = as_array("x", x, **limits), as_array("y", y, **limits)
     same_length(("x", "y"), *points)
-    across, up = _part_with_dimple(*points)
+    across, up, y_down = _part_with_dimple(*points)
     smooth = [loess(across, up, span=span) for span in SPANS]
     curves = [fit_gaussians(across, each) for each in smooth]
     # Clipped at the corners of the bottom, where the bias of a smooth curve exceeds the noise.
@@ -216,49 +235,72 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
                 f"{w:.2g} ± {w_std:.2g} px from the {rim} rim"
             )
         sides[rim] = replace(each[1], covariance=np.diag(variances))
-    return OutlineDimple(**sides, curve=curves[1], x=across, y=up)
+    return OutlineDimple(**sides, curve=curves[1], x=across, y=up, y_down=y_down)
 
 
-def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the outline around its dimple, x ascending, y up from 0."""
-    order = np.argsort(x, kind="stable")
-    across, up = x[order], y[order]
-    # By ascending x, a line through the points jumps between the two parts of a closed outline.
-    if _length(across, up) > 3 / 2 * _length(x, y):
-        raise ValueError(
-            "outline must have one y for each x, got one that turns back in x: give the upper part "
-            "of a closed outline"
-        )
-    bottom, rim, depth = _deepest(up)
+def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
+    """Return the outline around its dimple, x ascending, y up from 0, and if y was down."""
+    parts = _single_valued_parts(x, y)
+    # The upper part, and the lower part of the inverted outline.
+    sides = [max(parts, key=lambda part: float(np.mean(way * y[part]))) for way in (1, -1)]
+    above, below = _deepest(y[sides[0]]), _deepest(-y[sides[1]])
+    y_down = below.inside and not above.inside and below.depth > float(np.ptp(y)) / 10
+    chosen, dip, way = (sides[1], below, -1) if y_down else (sides[0], above, 1)
+    across, up = x[chosen], way * y[chosen]
     # Eight Gaussians describe an outline well within two radii of the bottom.
-    reach = 2 * (across[bottom] - across[rim]) or np.inf
-    near = np.abs(across - across[bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
+    reach = 2 * (across[dip.bottom] - across[dip.rim]) or np.inf
+    near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
     if near.sum() < _MIN_POINTS:
         raise ValueError(
             f"outline must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
             "within two radii of where it is deepest"
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
-    others = [_deepest(half)[2] for half in (up[: bottom + 1], up[bottom:])]
+    others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
     rough = np.median(np.abs(up - loess(across, up, span=SPANS[1])))
     other = max(*others, 2 * MAD_TO_STD * float(rough))
-    if depth <= 2 * other:
+    if dip.depth <= 2 * other:
         raise ValueError(
-            f"outline must show one dimple with y up, got one of {depth:.2g} px beside others of "
-            f"{other:.2g} px; columns col and row have y down"
+            f"outline must show one dimple, got one of {dip.depth:.2g} px beside others of "
+            f"{other:.2g} px; a closed outline must have its points in order along the outline"
         )
     # Gaussians fall to zero.
-    return across[near], up[near] - up[near].min()
+    return across[near], up[near] - up[near].min(), y_down
 
 
-def _length(x: Array, y: Array) -> float:
-    """Return the length of the line through the points in their order."""
-    return float(np.hypot(np.diff(x), np.diff(y)).sum())
+def _single_valued_parts(x: Array, y: Array) -> list[NDArray[np.intp]]:
+    """Return indices of the points by ascending x, in two parts if the outline is closed."""
+
+    def length(x: Array, y: Array) -> float:
+        return float(np.hypot(np.diff(x), np.diff(y)).sum())
+
+    order = np.argsort(x, kind="stable")
+    # The order of ascending x jumps between the two parts of a closed outline.
+    if length(x[order], y[order]) < 3 / 2 * length(x, y):
+        return [order]
+    first, last = int(np.argmin(x)), int(np.argmax(x))
+    around = np.roll(np.arange(x.size), -first)
+    turn = (last - first) % x.size
+    # Without the ends, where a closed outline is vertical.
+    within = (x > x[first]) & (x < x[last])
+    parts = (part[within[part]] for part in (around[:turn], around[turn:]))
+    return [part[np.argsort(x[part], kind="stable")] for part in parts if part.size]
 
 
-def _deepest(y: Array) -> tuple[int, int, float]:
-    """Return the deepest point between higher parts, the higher part on its left, and the depth."""
+class _Dip(NamedTuple):
+    """Deepest point of a curve between higher parts, and the higher part on its left."""
+
+    bottom: int
+    rim: int
+    depth: float
+    inside: bool  # whether both higher parts are away from the ends of the curve
+
+
+def _deepest(y: Array) -> _Dip:
     left, right = np.maximum.accumulate(y), np.maximum.accumulate(y[::-1])[::-1]
     depths = np.minimum(left, right) - y
     bottom = int(np.argmax(depths))
-    return bottom, int(np.argmax(y[: bottom + 1])), float(depths[bottom])
+    rims = int(np.argmax(y[: bottom + 1])), bottom + int(np.argmax(y[bottom:]))
+    # A curve that falls to its ends by noise alone has a rim within its first twentieth.
+    inside = min(rims[0], len(y) - 1 - rims[1]) > len(y) // 20
+    return _Dip(bottom, rims[0], float(depths[bottom]), inside)

@@ -89,17 +89,17 @@ def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float
                 return grey, _measure(smooth, dark), each
             except ValueError as reason:
                 reasons.append(str(reason))
-            if each is view and (upright := _tilted_view(smooth, view, dark)):
-                views.append(upright)
+            if each is view:
+                views += _tilted_views(smooth, view, dark)
     raise ValueError(reasons[0])
 
 
 def _runs(
-    smooth: NDArray[np.float32], rows: int, dark: float, widest: int
+    smooth: NDArray[np.float32], rows: int, dark: float, widest: int, mode: str
 ) -> tuple[Array, Array, NDArray]:
     """Return the mean of the first rows, its background, and both ends of each darker run."""
     top = smooth[:rows].mean(axis=0)
-    ground = median_filter(top, 4 * widest + 1, mode="nearest")  # four times as wide as a bar
+    ground = median_filter(top, 4 * widest + 1, mode=mode)  # four times as wide as a bar
     below = np.concatenate([[0], (top < dark * ground).view(np.int8), [0]])
     return top, ground, np.flatnonzero(np.diff(below)).reshape(-1, 2)
 
@@ -136,24 +136,45 @@ def _end_row(width: NDArray) -> int:
     return int(np.append(jumps, True).argmax())
 
 
-def _tilted_view(smooth: NDArray[np.float32], view: View, dark: float) -> View | None:
-    """Return the view in which the longest bar that enters at the upper edge is vertical."""
-    widest = int(_WIDEST * smooth.shape[1] / np.cos(_MAX_TILT))
-    top, ground, runs = _runs(smooth, 3, dark, widest)
+def _tilted_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[View]:
+    """Return the views in which the longest bar that enters at the upper edge is vertical.
+
+    The views begin where the bar is in the image with its whole width, which is below the upper
+    edge for a bar that enters through a corner. The first view of a thin bar assumes that it is the
+    wall of a tube.
+    """
+    columns = smooth.shape[1]
+    widest = int(_WIDEST * columns / np.cos(_MAX_TILT))
+    # The mode "nearest" would continue a bar in the corner as dark ground.
+    top, ground, runs = _runs(smooth, 3, dark, widest, "reflect")
     found = []
     for left, right in runs:
         limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
         ends = _follow(smooth, int(left), int(right), limit)
-        width = np.ptp(ends, axis=1)
-        rows = np.arange(_end_row(width))
+        # The side of the image cuts a bar in the corner, whose width grows over the first rows.
+        cut = (ends[:, 0] == 0) | (ends[:, 1] == columns)
+        row = int(np.append(cut, False).argmin())
+        width = np.ptp(ends[row:], axis=1)
+        rows = row + np.arange(_end_row(width))
         if rows.size > _TOP_ROWS and 2 <= width[0] <= widest:
             slope, start = _robust_line(rows, (ends[rows].sum(axis=1) - 1) / 2)
             if abs(slope) < np.tan(_MAX_TILT):
                 found.append((rows.size, slope, start, float(width[0]) / 2))
     if not found:
-        return None
+        return []
     _, slope, start, half = max(found)
-    return view.upright(slope, np.array([[start - half, 0.0], [start + half, 0.0]]))
+    sides = start + np.array([-half, half])
+    # A bar that enters through a side of the image does so below the upper edge.
+    inside = np.clip(sides, 0.0, columns - 1.0)
+    below = np.maximum((inside - sides) / slope, 0.0) if slope else np.zeros(2)
+    bar = np.stack([inside, below], axis=1)
+    entries = [bar]
+    if half < 8:
+        # The other wall of a tube may be on either side of this one. A view that contains both may
+        # be too short for a short bar.
+        tube = np.stack([sides + np.array([-widest, widest]), np.zeros(2)], axis=1)
+        entries = [np.concatenate([tube, bar]), bar]
+    return [view.upright(slope, entry) for entry in entries]
 
 
 def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
@@ -211,7 +232,7 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
 def _entering(grey: NDArray[np.float32], dark: float) -> tuple[NDArray, float, bool]:
     """Return both ends of the entering bar or tube in each row, its grey level, and if glass."""
     widest = int(_WIDEST * grey.shape[1])
-    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest)
+    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
     width = np.ptp(runs, axis=1)
     bars = runs[(width >= 4) & (width <= widest)]
     # Two runs are the walls of a tube if they are thin and of similar width. A blur of 1 px makes a

@@ -212,6 +212,30 @@ def test_outline_of_enlarged_image_matches_original(scene, boundary):
     assert np.abs(off).max() < 0.4
 
 
+@pytest.mark.parametrize(("edge", "turns"), [("left", 1), ("bottom", 2)])
+def test_outline_and_std_are_right_on_blurred_image(edge: str, turns: int) -> None:
+    """At the largest blur that needs no reduction of the image."""
+    place = {"shape": (641, 963), "center": (480.7, 203.6), "pixel_size": 1.94, "blur": 2.7}
+    soft = render(**place)
+    found = extract_boundary(np.rot90(soft.image, turns), direction=edge)
+    assert found.blur == pytest.approx(2.7, abs=0.2)
+    # Where each pixel was before the image was turned, read at the points found.
+    before = [np.rot90(axis, turns) for axis in np.indices(soft.image.shape)[::-1].astype(float)]
+    seen = found.points[~found.under_probe].T[::-1]
+    x, y = (map_coordinates(axis, seen, order=1) for axis in before)
+    off = distances(soft, np.stack([x, y], axis=1))
+    assert abs(off.mean()) < 0.15  # as unblurred, in pixels of twice the size
+    assert np.abs(off).max() < 1.5
+    assert found.std[~found.under_probe].mean() == pytest.approx(off.std(), rel=0.3)
+    tip = found.view.to_image(np.array([found.probe.tip]))[0]
+    under = found.points[found.under_probe]
+    np.testing.assert_allclose(under[len(under) // 2], tip, atol=1.0)
+    # The ground beside a blurred edge is not yet its own: half a pixel.
+    assert found.probe.half_width * soft.pixel_size == pytest.approx(25.0, abs=1.94)
+    filled = found.without_probe(np.rot90(soft.image, turns))
+    assert filled[: int(found.probe.tip[1]) - 9, int(found.probe.tip[0])].min() > 150
+
+
 def test_color_image_has_outline_of_its_luminance(scene) -> None:
     tint = np.array([0.9, 1.0, 0.8])
     color = np.rint(scene.image[..., np.newaxis] * tint).astype(np.uint8)
@@ -287,6 +311,11 @@ SPOILED = {
     "noise": (lambda: np.random.default_rng(0).integers(0, 250, (320, 480), np.uint8), NO_PROBE),
     "flat": (lambda: np.full((320, 480), 120, np.uint8), NO_PROBE),
     "two probes": (lambda: barred(image(), 60, 80), "one dark probe .* got 2 bars"),
+    "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
+    "saturated at 12 bits": (
+        lambda: (image() * 16 * 1.4).clip(0, 4095).astype(np.uint16),
+        "not be saturated",
+    ),
     "tiny": (lambda: image()[:40, :40], "image must be at least 64 px on each side"),
     "stack": (lambda: np.stack([image()] * 5), "image must be a grey image"),
 }
@@ -296,3 +325,33 @@ SPOILED = {
 def test_images_without_dimple_raise(spoiled, message):
     with pytest.raises(ValueError, match=message):
         extract_boundary(spoiled())
+
+
+def corner_bar(slope: float, height: float, length: float, half: float) -> np.ndarray:
+    """A bar whose axis, of a slope in x/y, passes the image's left side at `height`."""
+    y, x = np.mgrid[:240, :320].astype(float)
+    wide = np.hypot(1.0, slope)
+    across = (x - slope * (y - height)) / wide
+    along = (slope * x + y - height) / wide
+    return 190.0 - 150.0 * ((np.abs(across) <= half) & (along < length))
+
+
+@pytest.mark.parametrize(("height", "half"), [(-8.0, 6.0), (0.0, 6.0), (8.0, 6.0), (2.0, 10.0)])
+def test_bar_through_corner_is_found_and_rotated(height, half):
+    image = corner_bar(0.7, height, 150.0, half).astype(np.float32)
+    whole = image.shape[::-1]
+    _, probe, view = find_probe(image, View(whole, "top"))
+    assert view.tilt == pytest.approx(np.arctan(0.7), abs=0.02)
+    assert abs(probe.slope) < 0.01
+    # Its end as drawn, in the image; pixels are 1 px wide along it.
+    tip = view.to_image(np.array([probe.tip]))[0]
+    end = np.array([0.0, height]) + 150.0 * np.array([0.7, 1.0]) / np.hypot(1.0, 0.7)
+    np.testing.assert_allclose(tip, end, atol=1.0)
+    assert probe.half_width == pytest.approx(half, abs=0.3)
+    # Nothing above that the image's side has cut: all rows are as wide.
+    row = view.rotate(image)[0]
+    assert (row < 115).sum() == pytest.approx(2 * half, abs=1.5)
+    # Mirrored, it enters through the other corner.
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    _, other, _ = find_probe(mirrored, View(whole, "top"))
+    assert other.half_width == pytest.approx(probe.half_width, abs=0.02)

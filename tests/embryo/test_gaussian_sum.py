@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 
-from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
+from microlib.embryo import GaussianSum, _gaussian_sum, dimple_geometry, fit_gaussians
 
 
 def test_rim_is_nearest_maximum_in_upper_half() -> None:
@@ -42,6 +42,22 @@ def test_fit_equals_curve_fit_on_noisy_data() -> None:
     np.testing.assert_allclose(got, want, rtol=1e-4)  # both stop at relative changes of 1e-8
 
 
+def test_order_of_start_terms_changes_nothing(monkeypatch) -> None:
+    x = np.linspace(0, 120, 90)
+    truth = GaussianSum([40.0, 5.0], [30.0, 85.0], [20.0, 9.0], domain=(0, 120))
+    y = truth(x) + np.random.default_rng(4).normal(0, 0.5, x.size)
+    plain, starts = fit_gaussians(x, y, terms=2), _gaussian_sum._starts
+
+    def exchanged(*given):
+        return (each.reshape(3, 2)[:, ::-1].ravel() for each in starts(*given))
+
+    monkeypatch.setattr(_gaussian_sum, "_starts", exchanged)
+    other = fit_gaussians(x, y, terms=2)
+    np.testing.assert_allclose(other.centers, plain.centers, rtol=1e-5)
+    # Both searches stop at relative changes of 1e-8; the errors of the two hills differ by ten.
+    np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-3, atol=1e-7)
+
+
 @settings(deadline=None, max_examples=20)
 @given(x=st.floats(60.0, 260.0))
 def test_derivatives_equal_differences(x: float) -> None:
@@ -59,3 +75,12 @@ def test_derivatives_equal_differences(x: float) -> None:
     assert curve.second_derivative(x) == pytest.approx(
         (curve.slope(x + step) - curve.slope(x - step)) / (2 * step), abs=1e-6
     )
+    parameters = np.concatenate([curve.amplitudes, curve.centers, curve.widths])
+    for k in range(12):
+        moved = []
+        for sign in (1, -1):
+            p = parameters.copy()
+            p[k] += sign * step
+            moved.append(GaussianSum(*p.reshape(3, 4), domain=curve.domain))
+        by_value = (moved[0](x) - moved[1](x)) / (2 * step)
+        assert curve.gradient(x)[k] == pytest.approx(by_value, abs=1e-6)

@@ -11,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
+from skimage.measure import find_contours
 
 from compendium.guides import find_input, manifest
 from microlib.embryo import dimple_from_outline, read_outline
+from microlib.embryo._outline import _part_with_dimple
 from tests.laws import hold_sigma
 
 POINTS = pd.read_csv(find_input("outline.csv"))
@@ -89,6 +91,14 @@ def test_outline_without_noise_has_finite_covariance(form: str) -> None:
     assert dimple.dimple_depth == pytest.approx(DEPTH, abs=3 * dimple.covariance[1, 1] ** 0.5)
 
 
+def mask_contour(returning: NDArray) -> tuple[NDArray, NDArray]:
+    """The contour of what lies between two curves, as scikit-image follows it."""
+    rows = np.arange(60.0)[:, np.newaxis]
+    inside = (rows < traced()) & (rows > returning)
+    contour = max(find_contours(np.pad(inside.astype(float), 1), 0.5), key=len) - 1
+    return contour[:, 1], contour[:, 0]
+
+
 #: Outlines that return in x: below the dimple, along the border of the image or elsewhere.
 CLOSED = {
     "border": np.zeros(193), "chord": np.full(193, traced().min() - 2), "inner edge": traced() - 3,
@@ -97,19 +107,28 @@ CLOSED = {
 
 
 @pytest.mark.parametrize("kind", CLOSED)
-def test_closed_outline_raises(kind: str) -> None:
-    """From any point on and in either direction."""
+def test_upper_part_of_closed_outline_is_used(kind: str) -> None:
+    """From any point on, in either direction, and with y down."""
     x, y = np.r_[ACROSS, ACROSS[::-1]], np.r_[traced(), CLOSED[kind][::-1]]
-    for start in (0, 50, 300):
-        order = np.roll(np.arange(386), start)[:: 1 if start else -1]
-        with pytest.raises(ValueError, match="turns back in x"):
-            dimple_from_outline(x[order], y[order], pixel_size=1.0)
+    # But for the first and last points, where the parts meet.
+    across, up, _ = _part_with_dimple(ACROSS[1:-1], traced()[1:-1])
+    for start in (0, 50, 193, 300):
+        for order in (np.roll(np.arange(386), start), np.roll(np.arange(386), start)[::-1]):
+            for way, offset in ((1, 0), (-1, 200)):
+                found = _part_with_dimple(x[order], offset + way * y[order])
+                np.testing.assert_allclose(found[:2], [across, up], atol=1e-12)
+                assert found[2] == (way == -1)
+
+
+def test_contour_of_mask_at_border_is_measured() -> None:
+    found = dimple_from_outline(*mask_contour(np.full(193, -1.0)), pixel_size=1.0).left
+    assert found.dimple_depth == pytest.approx(DEPTH, abs=0.3)  # of whole pixels
 
 
 def test_closed_outline_in_random_order_raises() -> None:
     mixed = np.random.default_rng(0).permutation(386)
     x, y = np.r_[ACROSS, ACROSS], np.r_[traced(), np.zeros(193)]
-    with pytest.raises(ValueError, match="outline must"):
+    with pytest.raises(ValueError, match="a closed outline must have its points in order"):
         dimple_from_outline(x[mixed], y[mixed], pixel_size=1.0)
 
 
@@ -126,9 +145,8 @@ def test_noisy_arc_raises(noise: float, together: int) -> None:
 
 
 def test_outline_without_dimple_raises() -> None:
-    for y in (-(((X - 100) / 20) ** 2), 0 * X, -Y):  # with y down at last
-        with pytest.raises(ValueError, match="one dimple with y up"):
-            dimple_from_outline(X, y, pixel_size=PIXEL)
+    with pytest.raises(ValueError, match=r"one dimple, got one of 0 px|between two maxima"):
+        dimple_from_outline(X, -(((X - 100) / 20) ** 2), pixel_size=PIXEL)
     with pytest.raises(ValueError, match="outline must have at least 24 points around a dimple"):
         dimple_from_outline(X[::12], Y[::12], pixel_size=PIXEL)
     # A notch narrower than what LOESS smooths over: each span gives another depth.
@@ -143,6 +161,7 @@ def test_outline_without_dimple_raises() -> None:
 TABLES = {
     "semicolon": POINTS.to_csv(index=False, sep=";"),
     "decimal comma": POINTS.to_csv(index=False, sep=";", decimal=","),
+    "decimal comma, spaces": POINTS.to_csv(index=False, sep=" ", decimal=","),
     "decimal comma, tabs": POINTS.to_csv(index=False, header=False, sep="\t", decimal=","),
     "capitals": POINTS.rename(columns=str.upper).to_csv(),
     "no names": POINTS.to_csv(index=False, header=False, sep="\t"),
@@ -161,7 +180,7 @@ TABLES = {
 @pytest.mark.parametrize("name", TABLES)
 def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
-    for encoding in ("utf-8", "utf-8-sig"):
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         file.write_text(TABLES[name], encoding=encoding)
         found = read_outline(file)
         np.testing.assert_array_equal([found.x, found.y], [X, Y])
@@ -179,8 +198,7 @@ def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
         ("# by hand\nx,y\n1,2\n2,nan\n3,4\n", "two numbers in line 4, got '2, nan'"),
         ("1,2\n2,about 3\n3,4\n", "two numbers in line 2, got '2, about 3'"),
         ("x_um,y_px\n1,2\n", "x and y in one unit, got um and px"),
-        ("1,5 2,5\n", r"the columns x and y, or col and row, got \['1', '5 2', '5'\]"),
-        ("x,y\n1,2\n".encode("utf-16"), "a table of text in UTF-8"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "a table of text"),
     ],
 )
 def test_read_outline_error_contains_line(text: str | bytes, message: str, tmp_path: Path) -> None:
@@ -188,3 +206,12 @@ def test_read_outline_error_contains_line(text: str | bytes, message: str, tmp_p
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=rf"points\.csv must (have|be) {message}"):
         read_outline(file)
+
+
+@pytest.mark.parametrize(
+    ("height", "message"), [(0.0, "must show one dimple"), (1e200, "y must be at most 1e")]
+)
+def test_flat_or_huge_outline_is_rejected_without_warning(height, message):
+    bump = height * np.exp(-(((np.arange(60.0) - 30) / 9) ** 2))
+    with pytest.raises(ValueError, match=message):
+        dimple_from_outline(np.arange(60.0), bump, pixel_size=3.9)

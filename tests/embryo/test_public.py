@@ -26,6 +26,7 @@ from tests.laws import (
     TestedBy,
     Units,
     hold_same_as_new,
+    hold_sigma,
     laws_of,
     px,
     um,
@@ -62,7 +63,8 @@ def film(u) -> dict:
 
 def hills(u) -> GaussianSum:
     a, b, c = HILLS * u.px + [[0.0], [u.x0], [0.0]]
-    return GaussianSum(a, b, c, domain=tuple(DOMAIN * u.px + u.x0))
+    known = np.diag(np.arange(1.0, 10.0)) * 1e-3 * u.px**2
+    return GaussianSum(a, b, c, domain=tuple(DOMAIN * u.px + u.x0), covariance=known)
 
 
 def estimate(found: str, other: str) -> dict:
@@ -83,8 +85,9 @@ LAWS = {
         lambda u: {
             "amplitudes": HILLS[0] * u.px, "centers": u.x0 + HILLS[1] * u.px,
             "widths": HILLS[2] * u.px, "domain": tuple(DOMAIN * u.px + u.x0),
+            "covariance": np.eye(9) * u.px**2,
         },
-        SUM,
+        SUM | {"covariance": px**2},
     ),
     **{
         f"embryo.GaussianSum.{name}": Row(
@@ -92,6 +95,9 @@ LAWS = {
         )
         for name, unit in (("__call__", px), ("slope", NUMBER), ("second_derivative", 1 / px))
     },
+    "embryo.GaussianSum.gradient": Row(
+        lambda u: {"self": hills(u), "x": u.x0 + 30.0 * u.px}, NUMBER
+    ),
     # Roots are found to 1e-12 of a place that an origin moves.
     "embryo.GaussianSum.extrema": Row(
         lambda u: {"self": hills(u)}, px.counted_from("x0"), within=1e-8
@@ -113,7 +119,7 @@ LAWS = {
             + np.random.default_rng(0).normal(0, 0.1, 60) * u.px,
             "terms": 2,
         },
-        SUM,
+        SUM | {"covariance": px**2},
         within=1e-3,
     ),
     "embryo.loess": Row(
@@ -194,6 +200,38 @@ def test_ends_of_model_interval_are_values_of_models(found):
         if found == "modulus":
             by_model = again.force * again.modulus / by_model
         assert np.abs(np.log(by_model / 0.8)).min() < 1e-5
+
+
+@pytest.mark.parametrize("points", [6, 15, 120])
+def test_gaussian_covariance_matches_scatter_of_fits(points):
+    """Few, some and many points for its three numbers."""
+    rng, x = np.random.default_rng(points), np.linspace(3.0, 81.0, points)
+    curve = GaussianSum([60.0], [37.0], [22.0], domain=(0, 90))
+    fits = [fit_gaussians(x, curve(x) + rng.normal(0.0, 0.2, points), terms=1) for _ in range(60)]
+    found = [[fit.amplitudes[0], fit.centers[0], fit.widths[0]] for fit in fits]
+    hold_sigma(
+        np.subtract(found, [60.0, 37.0, 22.0]),
+        [fit.covariance for fit in fits],
+        freedom=points - 3,
+    )
+
+
+@pytest.mark.parametrize("rim", ["left", "right"])
+def test_dimple_covariance_matches_scatter_of_curves(rim):
+    """Of coefficients that are drawn."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(0.0, 0.01, (9, 9))
+    truth = dimple_geometry(
+        GaussianSum(*HILLS, domain=tuple(DOMAIN), covariance=root @ root.T), pixel_size=2.0, rim=rim
+    )
+    errors = []
+    for _ in range(200):
+        moved = HILLS + (root @ rng.normal(size=9)).reshape(3, 3)
+        one = dimple_geometry(GaussianSum(*moved, domain=tuple(DOMAIN)), pixel_size=2.0, rim=rim)
+        errors.append(
+            [one.dimple_radius - truth.dimple_radius, one.dimple_depth - truth.dimple_depth]
+        )
+    hold_sigma(errors, np.broadcast_to(truth.covariance, (200, 2, 2)))
 
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1, 2, 0]])
