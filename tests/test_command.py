@@ -136,11 +136,8 @@ REGION = {"region": (9, 5, 60, 44)}
         ("--region 9 5 60 44", REGION, 1.5),
     ],
 )  # fmt: skip
-def test_depth_writes_what_the_library_returns(
-    line, options, size, tmp_path, capsys, figures, monkeypatch
-):
+def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, capsys, figures):
     """The options replace the spacing and the pixel size in the file."""
-    monkeypatch.setattr("microlib._command._depth._MOST_VERTICES", 2000)
     levels = mixed_texture((70, 90), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 2.6)) for k in range(7)]
     sizes = {"PhysicalSizeX": 1.5, "PhysicalSizeY": 1.5, "PhysicalSizeZ": 4.0}
@@ -162,15 +159,13 @@ def test_depth_writes_what_the_library_returns(
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     spacing = options.get("spacing", 4.0)
     hold_alike(summary, found.to_dict() | {"spacing": spacing, "pixel_size": size})
-    mesh = read_ply(tmp_path / "out" / "surface.ply")
-    step = 2 if found.depth.size > 2000 else 1  # not too many vertices
-    height, levels = found.depth[::step, ::step], found.all_in_focus[::step, ::step]
-    known = np.isfinite(height)
-    row, column = step * size * np.array(np.nonzero(known))
-    corners = np.column_stack([column, -row, height[known]])
+    mesh, known = read_ply(tmp_path / "out" / "surface.ply"), np.isfinite(found.depth)
+    row, column = np.nonzero(known)
+    corners = np.column_stack([size * column, -size * row, found.depth[known]])
     np.testing.assert_allclose(mesh["vertices"], corners, rtol=1e-6, atol=1e-6)
     # A grey level by rounding.
-    grey = 255 * (levels[known] - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
+    sharp = found.all_in_focus[known]
+    grey = 255 * (sharp - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
     np.testing.assert_allclose(mesh["colors"], np.stack([grey] * 3, -1), atol=1)
     (figure,) = figures
     hold_alike(figure.axes[1].images[0].get_array().filled(np.nan), found.depth)

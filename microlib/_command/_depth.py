@@ -13,8 +13,6 @@ import numpy as np
 
 from microlib._command import _shared as shared
 
-#: Largest number of vertices of the mesh: more are slow to show.
-_MOST_VERTICES = 250_000
 #: The maps, and what they contain.
 _MAPS = {
     "height.ome.tif": "heights in µm",
@@ -70,7 +68,7 @@ def run(a: argparse.Namespace) -> shared.Files:
         yield name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
     sharp = found.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
-    step = max(1, ceil(sqrt(found.depth.size / _MOST_VERTICES)))
+    step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more vertices are slow to show
     mesh = {"height": found.depth[::step, ::step], "image": grey[::step, ::step]}
     yield "surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step)
     summary = found.to_dict() | scales | {"pixel_size": size}
