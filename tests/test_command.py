@@ -132,6 +132,7 @@ REGION = {"region": (9, 5, 60, 44)}
     [
         ("--spacing -7 --region 9 5 60 44 --reduce 2",
             {"spacing": -7.0, "reduce": 2, **REGION}, 3.0),
+        ("--spacing 0.007mm --register", {"spacing": 7.0, "register": True}, 1.5),
         ("--pixel-size 2500nm/px --register --reduce 2", {"register": True, "reduce": 2}, 5.0),
         ("--region 9 5 60 44", REGION, 1.5),
     ],
@@ -151,24 +152,42 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}
     found = depth_from_focus(np.stack(frames), **options)
-    maps = {"height": "depth", "uncertainty": "uncertainty", "frame": "index"}
-    for name, field in (maps | {"all_in_focus": "all_in_focus"}).items():
+    maps = {
+        "height": (found.depth, "heights in µm"),
+        "uncertainty": (found.uncertainty, "standard deviation of each height, µm"),
+        "frame": (found.index, "number of the frame nearest to focus, from 0; -1 where unknown"),
+        "all_in_focus": (found.all_in_focus, "every pixel from that frame"),
+    }
+    for name, (values, what) in maps.items():
         with tifffile.TiffFile(tmp_path / "out" / f"{name}.ome.tif") as file:
-            hold_alike(file.asarray(), getattr(found, field))
+            hold_alike(file.asarray(), values)
             assert f'PhysicalSizeX="{size}"' in file.ome_metadata
+            assert f'Name="{what}"' in file.ome_metadata
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     spacing = options.get("spacing", 4.0)
     hold_alike(summary, found.to_dict() | {"spacing": spacing, "pixel_size": size})
-    mesh, known = read_ply(tmp_path / "out" / "surface.ply"), np.isfinite(found.depth)
-    row, column = np.nonzero(known)
-    corners = np.column_stack([size * column, -size * row, found.depth[known]])
-    np.testing.assert_allclose(mesh["vertices"], corners, rtol=1e-6, atol=1e-6)
+    sharp = (found.all_in_focus - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
+    grey = (255 * sharp).astype(np.uint8)
+    io.write_ply(tmp_path / "own.ply", found.depth, pixel_size=size, image=grey)
+    mesh, own = (read_ply(tmp_path / name) for name in ("out/surface.ply", "own.ply"))
+    np.testing.assert_allclose(mesh["vertices"], own["vertices"], rtol=1e-6, atol=1e-6)
     # A grey level by rounding.
-    sharp = found.all_in_focus[known]
-    grey = 255 * (sharp - found.all_in_focus.min()) / np.ptp(found.all_in_focus)
-    np.testing.assert_allclose(mesh["colors"], np.stack([grey] * 3, -1), atol=1)
+    assert np.abs(mesh["colors"].astype(int) - own["colors"]).max() <= 1
     (figure,) = figures
     hold_alike(figure.axes[1].images[0].get_array().filled(np.nan), found.depth)
+
+
+def test_camera_matrix_and_scale_need_no_cell_size(tmp_path, capsys):
+    line = "calibrate circles.png --pitch 280"
+    assert status(f"{line} --focal-length 126150", tmp_path / "no") == 2
+    assert "give --cell µm" in capsys.readouterr().err
+    assert status(line, tmp_path / "a") == 0
+    assert "lengths in the camera are in cells of its sensor" in capsys.readouterr().err
+    assert status(f"{line} --cell 9.9", tmp_path / "b") == 0
+    assert "in cells" not in capsys.readouterr().err
+    one, other = (json.loads((tmp_path / k / "camera.json").read_text())["opencv"] for k in "ab")
+    # Two fits from different starts of f, which one plane hardly determines.
+    np.testing.assert_allclose(one["camera_matrix"], other["camera_matrix"], rtol=1e-4)
 
 
 def board(tilt: float, fields: tuple[int, int] = (9, 7)) -> np.ndarray:
@@ -214,11 +233,12 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
     )
     camera = pd.read_csv(tmp_path / "out" / "camera.csv", index_col="parameter")
     hold_alike(camera, result.to_frame().astype(camera.dtypes))
-    points = pd.read_csv(tmp_path / "out" / "points.csv").set_index("photo")
-    for ax, each, image, photo in zip(figures[0].axes, found, images, photos, strict=False):
-        own = points.loc[str(photo)].reset_index(drop=True)
-        hold_alike(own, each.to_frame().reset_index()[own.columns])
-        np.testing.assert_allclose(ax.lines[0].get_xydata(), each.points)
+    pairs = zip(found, photos, strict=True)
+    tables = pd.concat([each.to_frame().assign(photo=str(photo)) for each, photo in pairs])
+    points = pd.read_csv(tmp_path / "out" / "points.csv")
+    hold_alike(points, tables.reset_index(drop=True)[points.columns])
+    for ax, each, image in zip(figures[0].axes, found, images, strict=False):
+        np.testing.assert_allclose(np.transpose(ax.lines[0].get_data()), each.points)
         np.testing.assert_allclose(ax.images[0].get_array(), (image - 30.0) * 1.275, atol=2)
 
 
@@ -247,8 +267,10 @@ def test_calibrate_leaves_out_photographs_that_disagree(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("line", "options"),
     [
+        ("--motion affine --rate 20 --video", {"motion": "affine", "rate": 20.0}),
         ("--pixel-size 2.5 --video", {"motion": "translation", "pixel_size": 2.5}),
-        ("--motion homography --rate 12.5", {"motion": "homography", "rate": 12.5}),
+        ("--motion homography --rate 12.5 --pixel-size 2.5um",
+            {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
 )  # fmt: skip
 def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, figures):
@@ -271,13 +293,16 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
     wanted = tracking.track_all(frames, (60, 60, 49, 49), **options)
     assert [*table] == [*wanted]
     hold_alike(table.fillna({"reason": ""}), wanted.astype(table.dtypes))
-    (shown,) = figures[0].axes[0].images
-    np.testing.assert_allclose(shown.get_array(), 255 * (frames[0] / frames[0].max()), atol=4)
+    figure = figures[0]
+    np.testing.assert_allclose(
+        figure.axes[0].images[0].get_array(), 255 * (frames[0] / frames[0].max()), atol=4
+    )
+    assert figure.axes[1].get_xlabel() == ("time (s)" if "rate" in options else "frame")
     if "--video" not in line:
         assert not (tmp_path / "track_look.mp4").exists()
         return
     film = cv2.VideoCapture(str(tmp_path / "track_look.mp4"))
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(25)
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(options.get("rate", 25))
     for k, frame in enumerate(frames):
         # Yellow has red and green without blue, red has no green; around where it was last seen.
         shown = film.read()[1].astype(int)
@@ -313,14 +338,9 @@ def test_truncated_film_keeps_the_rows_before_its_end(tmp_path, capsys):
 
 
 def test_row_written_during_ctrl_c_is_counted(tmp_path, monkeypatch, capsys):
-    rows = []
-
     class Stopped(csv.DictWriter):
         def writerow(self, row: dict) -> None:
             super().writerow(row)
-            rows.append(row)
-            # On the disk before the next frame, for whoever kills the process.
-            assert out.read_text().count("\n") == len(rows)
             if row["frame"] == 7:
                 raise KeyboardInterrupt
 
@@ -330,6 +350,19 @@ def test_row_written_during_ctrl_c_is_counted(tmp_path, monkeypatch, capsys):
     assert main(words) == 130
     assert len(pd.read_csv(out)) == 8
     assert f"{out} keeps the 8 rows so far" in capsys.readouterr().err
+
+
+def test_each_row_is_written_before_the_next_frame(tmp_path, monkeypatch):
+    out, lines, each = tmp_path / "track.csv", [], tracking.track_each
+
+    def watched(*args, **options):
+        for row in each(*args, **options):
+            yield row
+            lines.append(out.read_text().count("\n"))
+
+    monkeypatch.setattr(tracking, "track_each", watched)
+    assert status(f"track frames.tif {BOX}", out) == 0
+    assert lines == [*range(2, len(lines) + 2)]
 
 
 def test_lost_part_gives_exit_status_4(tmp_path, capsys):
@@ -425,12 +458,6 @@ def test_disagreeing_rims_give_a_note(tmp_path, capsys):
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
         ("calibrate circles.png --cell=-1,25 --pitch 280", "--cell must be positive, got -1.25"),
-        ("calibrate circles.png --pitch 28 --focal-length 126150", "give --cell µm"),
-        ("calibrate circles.png --pitch 126,000", "126,000 can be 126000 or 126.000"),
-        *(
-            (f"calibrate circles.png --pitch={wrong}", f"value: '{wrong}'")
-            for wrong in ("126.000,5", "1,23,456", "1,234,567")
-        ),
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
@@ -490,6 +517,20 @@ def test_number_can_have_a_unit_and_a_comma(given, number, tmp_path, capsys):
     assert f"{name} {number:g} µ" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("text", "readings"),
+    [
+        ("126,000", "126,000 can be 126000 or 126.000"), ("1,500", "1,500 can be 1500 or 1.500"),
+        ("-1,500", ""), ("126.000,5", ""), ("1,23,456", ""), ("1,500.0", ""), ("1,234,567", ""),
+    ],
+)  # fmt: skip
+def test_ambiguous_comma_is_rejected(text, readings, capsys):
+    assert status(f"calibrate circles.png --pitch 1 --cell 1 --focal-length={text}", "out") == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert readings in printed
+
+
 def full(*given: object, **options: object) -> None:
     raise OSError(28, "No space left on device")
 
@@ -543,22 +584,29 @@ def test_help_lists_the_tasks_and_shows_an_example(capsys):
 
 
 @pytest.mark.parametrize(
-    "way",
-    [["-m", "microlib", *STACK.split(), "-o", "out"], ["-c", "import microlib.optics"]],
-    ids=["command", "library"],
+    "code",
+    [
+        "import sys; from microlib._command import main; sys.exit(main(sys.argv[1:]))",
+        "import microlib.focus",
+        "import microlib.optics",
+        "import microlib; help(microlib)",
+    ],
 )
-def test_missing_opencv_error_names_the_package(tmp_path, way):
+def test_missing_opencv_error_names_the_package(tmp_path, code):
     (tmp_path / "cv2.py").write_text("raise ModuleNotFoundError('No module', name='cv2')")
     done = subprocess.run(
-        [sys.executable, *way],
+        [sys.executable, "-c", code, *STACK.split(), "-o", str(tmp_path / "out")],
         cwd=INPUTS,
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
         capture_output=True,
         encoding="utf-8",
         check=False,
     )
-    last = done.stderr.splitlines()[-1]
+    last = (done.stderr or done.stdout.strip()).splitlines()[-1]
     assert last.endswith("OpenCV 4.12 or newer is needed: pip install opencv-python-headless")
+    if "_command" in code:
+        assert done.returncode == 2
+        assert done.stderr == f"{last}\n"
 
 
 def test_full_disk_is_reported_and_old_pictures_are_removed(tmp_path, capsys):
@@ -633,9 +681,10 @@ def test_results_in_the_input_folder_are_ignored(task, tmp_path, capsys, monkeyp
         assert (tmp_path / name).read_bytes() == content
 
 
-def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, monkeypatch):
+@pytest.mark.parametrize("encoding", ["cp1252", "cp932"])
+def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, monkeypatch, encoding):
     """The name has Cyrillic letters and the output µ and ±."""
-    out, err = (TextIOWrapper(BytesIO(), "cp932") for _ in range(2))
+    out, err = (TextIOWrapper(BytesIO(), encoding) for _ in range(2))
     monkeypatch.setattr(sys, "stdout", out)
     monkeypatch.setattr(sys, "stderr", err)
     photo = tmp_path / "сетка.png"
@@ -645,6 +694,19 @@ def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, monkeypatch):
     assert b"circles: " in out.buffer.getvalue()
     assert not err.buffer.getvalue()
     assert len(list((tmp_path / "µ").iterdir())) == 4
+
+
+def test_commands_run_as_a_module_without_docstrings(tmp_path):
+    line = [*OUTLINE.split(), "-o", str(tmp_path / "a.csv")]
+    done = subprocess.run(
+        [sys.executable, "-OO", "-m", "microlib", *line],
+        cwd=INPUTS,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+    assert pd.read_csv(tmp_path / "a.csv", index_col=0).loc["modulus_MPa", "value"] > 0
 
 
 #: Settings that turn pictures upside down, need LaTeX, or change colors, sizes and formats.
