@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from statistics import mode
@@ -55,7 +56,7 @@ def run(a: argparse.Namespace) -> Files:
             image = read_grey(photo)
             name, found = detect_pattern(image, a.marks)
             views[photo] = image, found
-            print(f"{photo}: {name}: {found}")
+            a.say(f"{photo}: {name}: {found}")
         except ValueError as error:
             fault = leave_out(photo, error)
     if not views:
@@ -76,9 +77,26 @@ def run(a: argparse.Namespace) -> Files:
                 )
         result = calibrate([each for _, each in views.values()], **scales)
     images, detections = zip(*views.values(), strict=True)
+    _advise(a, result, detections)
     tables = [each.to_frame().assign(photo=photo) for photo, (_, each) in views.items()]
     yield "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
     yield "camera.csv", text(result.to_frame().to_csv(lineterminator="\n"))
     yield "camera.json", text(result.to_json())
     yield "look.png", picture(partial(result.plot, found=detections, images=images))
-    print(result)
+    a.say(result)
+
+
+def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
+    """Note what to do about a calibration that is worth little."""
+    shares = [np.ptp(each.points, axis=0).prod() / np.prod(each.image_size) for each in found]
+    if max(shares) < 0.05:
+        a.note("the grid covers less than 5 % of the image: let it fill the image")
+    if not result.adequate:
+        more = " Several photographs show more of the lens" * (len(found) == 1)
+        same = "is the pattern flat and sharp, and --pitch the same everywhere?"
+        a.note(f"the model does not fit the points: {same}{more}")
+    if result.interval("magnification")[0] <= 0:
+        a.note("the magnification's interval reaches zero: photograph more marks, over more of it")
+    elif result.undetermined:
+        names = ", ".join(result.undetermined)
+        a.note(f"{names}: undetermined; give --focal-length, or tilt the pattern by 20° or more")

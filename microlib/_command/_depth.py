@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from dataclasses import replace
 from functools import partial
 from math import ceil, sqrt
@@ -27,6 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame at each position"
     parser.add_argument("source", metavar="STACK", help=stack)
     shared.add_scales(parser, "spacing", "pixel_size")
+    shared.add_axes(parser)
     parser.add_argument(
         "--register",
         action="store_true",
@@ -34,6 +34,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--region", help="part of the frames to use, px", **shared.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="number of threads")
 
 
 def run(a: argparse.Namespace) -> shared.Files:
@@ -51,9 +52,8 @@ def run(a: argparse.Namespace) -> shared.Files:
     scales = shared.resolve_scales(
         a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size
     )
-    options = {name: getattr(a, name) for name in ("register", "region", "reduce")}
+    options = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
     options |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
-    options["workers"] = os.cpu_count() or 1
     with a.bar(unit=" frames") as bar:
 
         def progress(done: int, total: int | None) -> None:
@@ -74,4 +74,4 @@ def run(a: argparse.Namespace) -> shared.Files:
     summary = found.to_dict() | scales | {"pixel_size": size}
     yield "summary.json", shared.text(json.dumps(summary, indent=2))
     yield "look.png", shared.picture(found.plot)
-    print(found)
+    a.say(found)

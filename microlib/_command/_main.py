@@ -20,6 +20,9 @@ from microlib._command import _calibrate, _depth, _modulus, _track
 from microlib._command._shared import option
 from microlib._common import ArgumentError, home_path, replace_file
 
+#: Endings of names that are not meant as folders.
+_FILE_ENDINGS = (".csv", ".json", ".png", ".tif", ".tiff", ".ply", ".txt", ".xlsx")
+
 
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors have one line."""
@@ -46,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         a.out = a.out.resolve()
     notes: dict[str, None] = {}  # each once, in their order
     a.note = lambda text: notes.setdefault(f"note: {text}")
-    a.bar = partial(tqdm, desc=a.task, leave=False, disable=None)  # shown in a terminal only
+    a.say = (lambda *_: None) if a.quiet else print
+    # Shown in a terminal only.
+    a.bar = partial(tqdm, desc=a.task, leave=False, disable=a.quiet or None)
     a.end = 0, ""  # a task can set another exit status and its reason
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
@@ -87,6 +92,8 @@ def _write_files(a: argparse.Namespace) -> None:
 
     a.protect = protect
     for name, write in a.run(a):
+        if name == "look.png" and a.no_look:
+            continue
         file = files[name]
         file.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -100,17 +107,20 @@ def _write_files(a: argparse.Namespace) -> None:
     for name in files.keys() - {*written, "table"}:  # track writes its table row by row
         files[name].unlink(missing_ok=True)  # of an earlier run
     names = [file.name for file in files.values() if file.exists()]
-    print(f"{files[a.files[0]].parent}: {', '.join(names)}")
+    a.say(f"{files[a.files[0]].parent}: {', '.join(names)}")
 
 
 def _targets(a: argparse.Namespace) -> dict[str, Path]:
     """Return the path of each file; raise if one exists already or cannot be written."""
+    ending = a.out.suffix.lower()
     if "table" in a.files:
-        if a.out.suffix.lower() != ".csv":
+        if ending != ".csv":
             raise ArgumentError("out", f"must be a table that ends in .csv, got {a.out}")
         files = {name: a.out.with_name(f"{a.out.stem}_{name}") for name in a.files}
         files["table"] = a.out
     else:
+        if ending in _FILE_ENDINGS and not a.out.is_dir():
+            raise ArgumentError("out", f"must be a folder, got {a.out}")
         files = {name: a.out / name for name in a.files}
     for file in files.values():
         if file.is_dir() or (file.exists() and not a.overwrite):
@@ -141,4 +151,6 @@ def _parser() -> argparse.ArgumentParser:
         out = "CSV file" if "table" in sub.get_default("files") else "folder for the results"
         sub.add_argument("-o", "--out", required=True, type=Path, metavar="OUT", help=out)
         sub.add_argument("--overwrite", action="store_true", help="replace earlier results")
+        sub.add_argument("--no-look", action="store_true", help="write no picture of the result")
+        sub.add_argument("--quiet", action="store_true", help="print only errors and notes")
     return parser

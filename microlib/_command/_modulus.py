@@ -18,6 +18,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
     add_scales(parser, "probe_half_width", "poisson_ratio")
+    parser.add_argument(
+        "--y-down", action="store_true", help="y increases downwards, as in an image"
+    )
 
 
 def run(a: argparse.Namespace) -> Files:
@@ -38,10 +41,12 @@ def run(a: argparse.Namespace) -> Files:
     values = resolve_scales(a, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
-    y = -table.y if table.y_down else table.y
-    measured = dimple_from_outline(table.x, y, pixel_size=size)
+    down = a.y_down or table.y_down
+    measured = dimple_from_outline(table.x, -table.y if down else table.y, pixel_size=size)
     if measured.y_down:
-        seen = "up" if table.y_down else "down"
+        if a.y_down:
+            raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
+        seen = "up" if down else "down"
         a.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
     left, left_text = _estimate(measured.left, values, stds)
     right, right_text = _estimate(measured.right, values, stds)
@@ -49,7 +54,7 @@ def run(a: argparse.Namespace) -> Files:
     if max(left[low], right[low]) > min(left[high], right[high]):
         a.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
     summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
-    print(summary)
+    a.say(summary)
     result = left | {f"right_rim_{name}": value for name, value in right.items()}
     lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
     yield "table", text("\n".join(lines))
@@ -57,7 +62,7 @@ def run(a: argparse.Namespace) -> Files:
     points["right rim"] = measured.right.rim
     drawn = partial(outline, measured.x, measured.y, measured.curve, points, summary)
     yield "look.png", picture(drawn)
-    print("The table has the modulus, its interval, and the values that it was computed from.")
+    a.say("The table has the modulus, its interval, and the values that it was computed from.")
 
 
 def _estimate(

@@ -81,7 +81,7 @@ def resolve_scales(
     for name, (value, source) in found.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
-        print(f"{name} {value:g} {unit} ({source})")
+        a.say(f"{name} {value:g} {unit} ({source})")
         low, high = MEASURED.get(unit, (0, 1))
         if not low <= abs(value) <= high:
             a.note(
@@ -91,14 +91,23 @@ def resolve_scales(
     return {name: value for name, (value, _) in found.items()}
 
 
+def add_axes(parser: argparse.ArgumentParser) -> None:
+    """Add the choice among the axes of a file that has more than a stack."""
+    for name in ("channel", "time", "series"):
+        parser.add_argument(
+            option(name), type=int, metavar="N", help=f"{name} to read, counted from 0"
+        )
+
+
 def open_frames(a: argparse.Namespace) -> Any:
     """Return a reader of the frames, whose files are printed and cannot be overwritten."""
     from microlib.io import read_frames
 
-    frames = read_frames(a.source, color=True)
+    choice = {name: getattr(a, name) for name in ("channel", "time", "series")}
+    frames = read_frames(a.source, color=True, **choice)
     a.protect(frames.files)
     if len(frames.files) > 1:
-        print(f"{len(frames.files)} files, from {frames.files[0].name} to {frames.files[-1].name}")
+        a.say(f"{len(frames.files)} files, from {frames.files[0].name} to {frames.files[-1].name}")
     return frames
 
 

@@ -22,6 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     shared.add_scales(parser, "pixel_size")
+    shared.add_axes(parser)
     parser.add_argument(
         "--video", action="store_true", help="also write a film that marks the part"
     )
@@ -65,7 +66,7 @@ def run(a: argparse.Namespace) -> shared.Files:
     if a.video:
         yield "look.mp4", partial(_write_film, frames, track, a.rate or 25)
     summary = f"lost in {lost} of {len(rows)} frames"
-    print(f"{summary}; one row per frame, lengths in px, columns …_um in µm")
+    a.say(f"{summary}; one row per frame, lengths in px, columns …_um in µm")
     if stop is not None:
         status = 130 if isinstance(stop, KeyboardInterrupt) else 3
         kept = a.out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C can precede the counting
