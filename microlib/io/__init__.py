@@ -3,6 +3,6 @@
 import microlib._common._opencv  # noqa: F401 – its error names the package
 from microlib.io._files import read_grey, write_height_tiff, write_ply
 from microlib.io._frames import read_frames
-from microlib.io._sources import image_files as image_files  # not public: for the commands
+from microlib.io._pictures import image_files as image_files  # not public: for the commands
 
 __all__ = ["read_frames", "read_grey", "write_height_tiff", "write_ply"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,12 +54,13 @@ def write_height_tiff(
     pixel_size: float,
     what: str = "height in um",
 ) -> None:
-    """Write a height map, or another map, as an OME-TIFF with its pixel size.
+    """Write a height map, or another map, as a TIFF with its pixel size.
 
     Parameters
     ----------
     path : path-like
-        File to write; an existing file is replaced when the new one is complete.
+        File to write; an existing file is replaced when the new one is complete. A name that ends
+        in ``.ome.tif`` makes it an OME-TIFF with the pixel size as PhysicalSizeX and PhysicalSizeY.
     height : array_like, shape (rows, cols) or (rows, cols, 3)
         Heights, µm, or their uncertainties, frame numbers, grey levels or colors; NaN where
         unknown. Integers of 8 and 16 bits without and of 32 with a sign are kept, other types
@@ -66,7 +68,7 @@ def write_height_tiff(
     pixel_size : float
         Size of a pixel, in µm/px.
     what : str
-        Description of the values, which becomes the name of the image in the file.
+        Description of the values in the file.
 
     Raises
     ------
@@ -93,13 +95,15 @@ def write_height_tiff(
     as_array("height", values, shape=shape, dtype=kept, finite=False)
     # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
     size = scalar("pixel_size", pixel_size, above=0, least=1e-5)
-    sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
-    units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
-    axes = "YXS" if rgb else "YX"
-    about: dict[str, Any] = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
+    about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um".encode()}
+    if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
+        sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
+        units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
+        axes = "YXS" if rgb else "YX"
+        about = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
     about |= {"resolution": 2 * (MICROMETERS["cm"] / size,), "resolutionunit": "CENTIMETER"}
     about |= {"photometric": "rgb" if rgb else "minisblack", "software": SOFTWARE}
-    replace_file(path, lambda file: tifffile.imwrite(file, values, ome=True, **about))
+    replace_file(path, lambda file: tifffile.imwrite(file, values, **about))
 
 
 def write_ply(

@@ -22,6 +22,9 @@ def read_frames(
     color: bool | None = None,
     region: Region | None = None,
     reduce: int = 1,
+    channel: int | None = None,
+    time: int | None = None,
+    series: int | None = None,
 ) -> FrameReader:
     """Return a reader of the frames of a stack, which checks each frame and holds one frame at a
     time.
@@ -37,10 +40,10 @@ def read_frames(
           whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
           (coordinates 0, 1, 2, … without a unit are numbers of pixels);
         - a folder or a pattern (``"scan/*.jpg"``) of images, in the order of the numbers in their
-          names; a folder with one file is that file;
-        - a multi-page TIFF or OME-TIFF, a zarr array or a video;
-        - a list of paths to image files;
-        - an iterable of images, such as a list or a generator;
+          names; EXIF orientation is applied unless it changes within the stack; a folder with one
+          file is that file;
+        - a multi-page TIFF or OME-TIFF, OME-Zarr 0.4 or 0.5, a NumPy file, a GIF or a video;
+        - an iterable, such as a list or a generator, of images or of paths to image files;
         - a reader that this function returned.
 
         ``~`` is the home folder.
@@ -51,14 +54,16 @@ def read_frames(
         Part of the frames, (x, y, width, height) in px.
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
+    channel, time, series : int, optional
+        Index, from zero, of the channel, the time or the series to read. Needed for a TIFF, an
+        OME-Zarr or an xarray.DataArray that has more than one axis besides rows and columns.
 
     Returns
     -------
     FrameReader
         An iterable of the frames: ndarrays of shape (rows, cols), or (rows, cols, 3) in red, green
         and blue, of 8 or 16 bits or float32; other number types become float32. Frames of an array
-        are views of it. Values are as stored: a TIFF in which zero is white is not inverted, and
-        photographs are not turned as their EXIF orientation says. The
+        are views of it. Values are as stored: a TIFF in which zero is white is not inverted. The
         attributes `count`, `shape`, `dtype`, `color`, `axis`, `pixel_size` (µm/px), `positions`
         (µm) and `files` are known before the frames are read, because the first frame is decoded at
         once. The frames can be read again, except those of an iterator. If `frames` is a reader,
@@ -69,8 +74,7 @@ def read_frames(
     ValueError
         At once, if the frames are none of these, if a file is missing or is no image, if the order
         of files is ambiguous, their names differ in more than numbers or one frame has two files,
-        or if a TIFF or an xarray.DataArray has several axes besides rows and columns, or a TIFF
-        more or fewer pages than its metadata describe.
+        or if a TIFF has axes to choose from, or more or fewer pages than its metadata describe.
         While the frames are read, if one is damaged or cut off, neither grey nor color, not finite,
         or of another size or type than the first, if a film ends before the number of frames in its
         header, or if a file changes meanwhile. The message names the frame, and the page or axes of
@@ -80,8 +84,9 @@ def read_frames(
     -----
     UserWarning
         If a video has another number of frames than its header says; if numbers are missing in the
-        names of files; if pixels are not square, or positions and spacing in the metadata disagree;
-        if results of this library in a folder are left out.
+        names of files, or these have no numbers; if pixels are not square, or positions and spacing
+        in the metadata disagree; if photographs have several orientations; if results of this
+        library in a folder are left out.
 
     Examples
     --------
@@ -93,7 +98,12 @@ def read_frames(
     """
     by = whole("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
-    source = frames if isinstance(frames, FrameReader) else open_source(frames)
+    wanted = {"channel": channel, "time": time, "series": series}
+    choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
+    source = frames if isinstance(frames, FrameReader) else open_source(frames, choice)
+    if choice:  # which the source has not applied
+        name, number = choice.popitem()
+        raise ArgumentError(name, f"must be left out for frames without that axis, got {number}")
     keep = isinstance(source, FrameReader) and source.keep_color if color is None else color
     return FrameReader(source, keep, part, by)
 

@@ -1,4 +1,4 @@
-"""Pixel sizes and positions from the metadata of TIFF and labeled arrays, in µm."""
+"""Pixel sizes and positions from the metadata of TIFF, OME-Zarr and labeled arrays, in µm."""
 
 from __future__ import annotations
 
@@ -10,43 +10,46 @@ import numpy as np
 import tifffile
 
 from microlib._common import MICROMETERS, Array
+from microlib.io._source import Choice
 
 #: Side of a square pixel, µm/px, and positions of the frames, µm; None where they are not known.
 Scale = tuple[float | None, Array | None]
 
 
-def tiff_scale(tiff: tifffile.TiffFile, name: str, count: int) -> Scale:
-    """Return the scale of `count` frames from OME or ImageJ metadata.
-
-    The resolution of other files is a printer's, which software writes unasked.
-    """
+def tiff_scale(tiff: tifffile.TiffFile, name: str, count: int, choice: Choice) -> Scale:
+    """Return the scale of `count` frames from OME or ImageJ metadata or from the resolution."""
     if tiff.is_ome and tiff.ome_metadata:
         try:
-            return _ome_scale(
-                tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]["Pixels"], name, count
-            )
+            images = _as_list(tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"])
+            return _ome_scale(images[choice.get("series", 0)]["Pixels"], name, count, choice)
         except (ParseError, LookupError, TypeError, AttributeError):
             return None, None
-    if not (tiff.is_imagej and (about := tiff.imagej_metadata)):
-        return None, None
     page = tiff.pages[0].aspage()
     tagged = "XResolution" in page.tags and "YResolution" in page.tags
     x, y = (1 / n if n else np.nan for n in (page.get_resolution() if tagged else (0, 0)))
-    # An axis without a unit of its own has that of x.
-    unit_x, unit_y, unit_z = (
-        str(about.get(key, about.get("unit"))).lower() for key in ("unit", "yunit", "zunit")
-    )
-    step = abs(_micrometers(about.get("spacing"), unit_z))
-    size = _square(_micrometers(x, unit_x), _micrometers(y, unit_y), name)
-    return size, _even_positions(step, count)
+    if tiff.is_imagej and (about := tiff.imagej_metadata):
+        # An axis without a unit of its own has that of x.
+        unit_x, unit_y, unit_z = (
+            str(about.get(key, about.get("unit"))).lower() for key in ("unit", "yunit", "zunit")
+        )
+        step = abs(_micrometers(about.get("spacing"), unit_z))
+        size = _square(_micrometers(x, unit_x), _micrometers(y, unit_y), name)
+        return size, _even_positions(step, count)
+    if page.resolutionunit != tifffile.RESUNIT.CENTIMETER:
+        return None, None
+    x, y = _micrometers(x, "cm"), _micrometers(y, "cm")
+    # Up to 1200 dots per inch it is a printer's resolution, which software writes unasked.
+    return None if x > 20 else _square(x, y, name), None
 
 
-def _ome_scale(pixels: Any, name: str, count: int) -> Scale:
+def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
     sizes = [f"PhysicalSize{axis}" for axis in "XYZ"]
     x, y, step = (_micrometers(pixels.get(key), pixels.get(f"{key}Unit", "µm")) for key in sizes)
-    planes = pixels.get("Plane", [])
-    planes = [planes] if isinstance(planes, dict) else planes
-    planes = sorted(planes, key=lambda plane: plane.get("TheZ", 0))
+    wanted = choice.get("channel", 0), choice.get("time", 0)
+    planes = sorted(
+        (p for p in _as_list(pixels.get("Plane", [])) if (p.get("TheC"), p.get("TheT")) == wanted),
+        key=lambda plane: plane.get("TheZ", 0),
+    )
     # Positions without a unit of length are in one of the microscope's own.
     named = all(str(p.get("PositionZUnit")) in MICROMETERS for p in planes)
     z = np.array(
@@ -62,6 +65,10 @@ def _ome_scale(pixels: Any, name: str, count: int) -> Scale:
         both = f"planes {apart:g} {unit} apart and a spacing of {step:g} µm"
         warnings.warn(f"{name} has {both}: the {used} is used", stacklevel=2)
     return size, z if named else _even_positions(step, count)
+
+
+def _as_list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _micrometers(value: Any, unit: object) -> float:
@@ -107,3 +114,18 @@ def _coordinate(frames: Any, dim: Any) -> Array | None:
         return None
     factor = MICROMETERS.get("µm" if unit is None else str(unit))
     return None if factor is None else np.asarray(values, dtype=np.float64) * factor
+
+
+def zarr_scale(image: dict[str, Any], axis: str, count: int, name: str) -> Scale:
+    """Return the scale from the metadata of an OME-Zarr image of full size."""
+    changes = [
+        *image["datasets"][0].get("coordinateTransformations", []),
+        *image.get("coordinateTransformations", []),
+    ]
+    scales = np.prod([change["scale"] for change in changes if "scale" in change], axis=0)
+    steps = {
+        each["name"]: _micrometers(scale, each.get("unit"))
+        for each, scale in zip(image["axes"], scales, strict=True)
+    }
+    z = steps.get("z", np.nan) if axis == "Z" else np.nan
+    return _square(steps["x"], steps["y"], name), _even_positions(z, count)

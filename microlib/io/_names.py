@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from itertools import pairwise
+from itertools import pairwise, product
 from math import prod
 from pathlib import Path
 from statistics import mode
@@ -29,45 +29,72 @@ def in_order(files: Sequence[Path]) -> list[Path]:
     Returns
     -------
     list of Path
-        In the order of their whole numbers, such as 2 before 10, or of their decimals.
+        In the order of their whole numbers, such as 2 before 10. Where signs, decimals or a counter
+        that begins again at 0 or 1 give another order, in that with evenly spaced numbers. Names
+        without numbers are in alphabetical order.
 
     Raises
     ------
     ValueError
-        If two files differ only in their format, names differ in more than their numbers, or
-        their numbers give two orders: as whole numbers and as decimals, by the first number and
-        by another one, or of a counter that may have begun again.
+        If two files differ only in their format, names differ in more than their numbers, or two
+        orders are as good.
 
     Warns
     -----
     UserWarning
-        If numbers are missing in an otherwise even sequence.
+        If numbers are missing in an otherwise even sequence, or names have no numbers.
     """
     names = [file.stem for file in files]
     if twice := sorted(file.name for file in files if names.count(file.stem) > 1):
         raise ValueError(f"frames must be one file each, got {twice[0]} and {twice[1]}")
     whole, decimal = _read(files, _WHOLE), _read(files, _DECIMAL)
-    readings = [reading for reading in (whole, decimal) if reading]
-    remedy = "rename them, give a pattern of some, or pass a list of files"
+    readings = [reading for reading in (whole, decimal, _rolled_over(whole)) if reading]
     if not readings:
-        one, *rest = sorted(files)
-        text = _split(one, _WHOLE)[::2]
-        two = next((file for file in rest if _split(file, _WHOLE)[::2] != text), rest[0])
-        raise ValueError(
-            f"frames must have names that differ only in numbers, got {one.name} and {two.name}: "
-            + remedy
-        )
-    readings += [*_by_another_number(readings[-1]), *_begun_again(whole)]
-    first, *others = ([file for _, file in reading] for reading in readings)
+        return _without_numbers(files)
+    even = [reading for reading in readings if _is_even(reading)]
+    orders = even or readings
+    if decimal and not even:
+        orders = [*orders, *_by_another_number(decimal)]
+    first, *others = ([file for _, file in reading] for reading in orders)
     for other in others:
         if other != first:
             both = [", ".join(file.name for file in order[:4]) for order in (first, other)]
             raise ValueError(
-                "frames must have one order, their names give two: "
-                f"{both[0]}, … or {both[1]}, …; {remedy}"
+                f"frames must have one order, their names give two: {both[0]}, … or {both[1]}, …; "
+                "rename them, give a pattern of some, or pass a list of files"
             )
-    _warn_of_gaps(readings[-1])
+    _warn_of_gaps(orders[0])
     return first
+
+
+def _without_numbers(files: Sequence[Path]) -> list[Path]:
+    """Return files in alphabetical order; raise if some of their names are a numbered series."""
+    texts = {file: _split(file, _WHOLE)[::2] for file in sorted(files)}
+    ordered = [*texts]
+    for file, other in product(ordered, ordered):
+        if file != other and texts[file] == texts[other]:  # one series, and others beside it
+            stray = next((each for each in ordered if texts[each] != texts[file]), other)
+            raise ValueError(
+                f"frames must have names that differ only in numbers, got {file.name} and "
+                f"{stray.name}: give a pattern of some, or pass a list of files"
+            )
+    if len(files) > 1:
+        warnings.warn("names without a common number: frames in alphabetical order", stacklevel=2)
+    return ordered
+
+
+def _by_another_number(reading: Reading) -> Iterator[Reading]:
+    """Yield the orders by numbers that are not the first ones in the names."""
+    columns = [*zip(*(numbers for numbers, _ in reading), strict=True)]
+    # Two axes, such as channels and positions, have all pairs of their numbers.
+    if len(columns) > 1 and prod(len(set(column)) for column in columns) == len(reading):
+        yield sorted(reading, key=lambda each: each[0][::-1])
+    for column in columns[1:]:
+        pairs = zip(column, reading, strict=True)
+        counter: Reading = [((number,), file) for number, (_, file) in pairs]
+        counter.sort()
+        if len(set(column)) == len(reading) and _is_even(counter):
+            yield counter
 
 
 def _split(file: Path, pattern: str) -> list[str]:
@@ -90,26 +117,17 @@ def _read(files: Sequence[Path], pattern: str) -> Reading | None:
     return sorted(zip(values, files, strict=True)) if len(set(values)) == len(files) else None
 
 
-def _by_another_number(reading: Reading) -> Iterator[Reading]:
-    """Yield the orders by numbers that are not the first ones in the names."""
-    columns = [*zip(*(numbers for numbers, _ in reading), strict=True)]
-    # Two axes, such as channels and positions, have all pairs of their numbers.
-    if len(columns) > 1 and prod(len(set(column)) for column in columns) == len(reading):
-        yield sorted(reading, key=lambda each: each[0][::-1])
-    for k, column in enumerate(columns[1:], 1):
-        if set(column) == {min(column) + n for n in range(len(column))}:  # a counter
-            yield sorted(reading, key=lambda each: each[0][k])
-
-
-def _begun_again(reading: Reading | None) -> Iterator[Reading]:
-    """Yield the order of a counter of fixed width that may have begun again, as 98, 99, 00, 01."""
+def _rolled_over(reading: Reading | None) -> Reading | None:
+    """Return the order of a counter of fixed width that begins again at 0 or at 1."""
     if not reading or not (gaps := _gaps(reading)):
-        return
-    high, fixed = reading[-1][0][0], len({len(file.stem) for _, file in reading}) == 1
-    top = 10 ** len(str(high))
-    if fixed and max(gaps) > top / 2 and high >= top - 2 * len(reading):
-        first = gaps.index(max(gaps)) + 1
-        yield reading[first:] + reading[:first]
+        return None
+    low, high = reading[0][0][0], reading[-1][0][0]
+    first, top = gaps.index(max(gaps)) + 1, 10 ** len(str(high))
+    fixed = len({len(file.stem) for _, file in reading}) == 1
+    if not fixed or max(gaps) < top / 2 or high < top - 2 * len(reading):
+        return None
+    period = Decimal(top if low == 0 else top - 1)
+    return reading[first:] + [((value + period,), file) for (value,), file in reading[:first]]
 
 
 def _gaps(reading: Reading) -> list[Decimal]:
@@ -117,6 +135,12 @@ def _gaps(reading: Reading) -> list[Decimal]:
     if len(reading[0][0]) != 1 or len(reading) < 3:
         return []
     return [after[0] - before[0] for (before, _), (after, _) in pairwise(reading)]
+
+
+def _is_even(reading: Reading) -> bool:
+    """Return whether the numbers rise by one step, or by multiples of it that leave few out."""
+    steps = [gap / min(gaps) for gap in gaps] if (gaps := _gaps(reading)) else []
+    return bool(steps) and all(step % 1 == 0 for step in steps) and sum(steps) < 2 * len(reading)
 
 
 def _warn_of_gaps(reading: Reading) -> None:

@@ -40,20 +40,6 @@ def four_inks(folder: Path, frames: NDArray) -> Path:
     return tiff(folder / "a.tif", np.stack([frames[0]] * 4, -1), photometric="separated")
 
 
-def palette(folder: Path, frames: NDArray) -> Path:
-    colors = {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}
-    return tiff(folder / "a.tif", frames, **colors)
-
-
-def compressed_by_jpeg(folder: Path, frames: NDArray) -> Path:
-    return by_pillow(folder / "a.tif", frames, compression="jpeg")
-
-
-def beyond_4_gb(folder: Path, frames: NDArray) -> Path:
-    """ImageJ writes the values of all frames after one directory."""
-    return tiff(folder / "a.tif", frames, imagej=True, truncate=True, metadata={"axes": "ZYX"})
-
-
 def frames_along_the_last_axis(folder: Path, frames: NDArray) -> Path:
     return tiff(folder / "a.tif", np.moveaxis(frames[:9], 0, -1), photometric="minisblack")
 
@@ -111,14 +97,11 @@ NO_IMAGE = ": damaged, too large or of an unknown format"
         (several_series, r"holds 2 series of images \(QYX \(12, 48, 56\), YX"),
         (stack_for_a_frame, r"a\.tif: it must hold one page to be one frame, got 12"),
         (four_inks, r"page 0 of .*a\.tif .* red, green and blue, got SEPARATED"),
-        (palette, r"page 0 of .*a\.tif .* red, green and blue, got PALETTE"),
-        (compressed_by_jpeg, r"page 0 of .*a\.tif .* compressed by JPEG, which hides damage"),
-        (beyond_4_gb, r"describe 12 pages, it holds 1: .* pass tifffile\.memmap"),
         (frames_along_the_last_axis, r"come along the first axis, got shape \(48, 56, 9\)"),
         (axes_in_another_order, r"axes YXZ must end in rows Y and columns X"),
         (zeroed_strip, r"page 2 of .*a\.tif cannot be read"),
         (truncated_strip, r"a\.tif cannot be read: the file is cut off"),
-        (missing_file_of_a_set, "metadata describe 5 pages, it holds 4: .* must lie beside it"),
+        (missing_file_of_a_set, "metadata describe 5 pages, it holds .* must lie beside it"),
         (another_size_in_a_folder, r"frames\[12\], .*12\.png, .* \(48, 56\) .* \(20, 56\)"),
         (pattern_of_nothing, r"frames must hold images, got none in .*\*\.jpg"),
         (enormous_picture, "a.png" + NO_IMAGE),
@@ -138,7 +121,6 @@ def test_wrong_file_is_rejected_by_name_page_and_fault(stack, tmp_path, write, w
     [
         ("a.png", b"", "a.png" + NO_IMAGE),
         ("a.mp4", b"no film", r"a\.mp4: not a video"),
-        ("a.gif", b"GIF89a", r"a\.gif: not a TIFF"),
         *(("a.tif", head, r"a\.tif") for head in (b"", b"no TIFF", b"II*\0", b"II*\0 cut off")),
         ("a.png", None, r"a\.png: no such file"),
         ("a.avi", None, r"a\.avi: no such file"),
@@ -181,12 +163,23 @@ def test_wrong_array_is_rejected_by_frame_and_fault(stack):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
-@pytest.mark.parametrize("name", ["a.jpg", "a.png"])
-def test_truncated_picture_is_rejected(stack, tmp_path, name, share):
+@pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.npy", "a.gif"])
+def test_truncated_file_is_rejected(stack, tmp_path, name, share):
     path = tmp_path / name
-    cv2.imwrite(str(path), stack[0])
+    if name == "a.npy":
+        np.save(path, stack)
+    elif name == "a.gif":
+        by_pillow(path, stack)
+    else:
+        cv2.imwrite(str(path), stack[0])
     whole = path.read_bytes()
-    rejects([file_of(path, whole[: int(share * len(whole))])], name + NO_IMAGE)
+    file_of(path, whole[: int(share * len(whole))])
+    if name in ("a.npy", "a.gif"):
+        rejects(path, f"cannot be read from .*{name}")
+        return
+    rejects([stack[1], path], name + NO_IMAGE)
+    with pytest.raises(ValueError, match=name + NO_IMAGE):
+        read_grey(path)
 
 
 @pytest.mark.parametrize("compression", [None, "zlib"])
@@ -224,7 +217,27 @@ def test_tiff_cut_off_after_any_page_is_rejected(stack, tmp_path, kind, compress
         rejects(file_of(path, whole[:end]), r"cut(\.ome)?\.tif")
 
 
-@pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "tiff_deflate"])
+def test_imagej_file_with_one_directory_is_rejected_when_cut_off(stack, tmp_path):
+    """Beyond 4 GB ImageJ writes the values of all frames after one directory."""
+    frames = stack[:5]
+    path = tiff(tmp_path / "large.tif", frames, imagej=True, metadata={"axes": "ZYX"})
+    with tifffile.TiffFile(path) as file:
+        second = file.pages[1].offset
+        order, first = file.byteorder, file.pages[0].offset
+        content = bytearray(path.read_bytes())
+    entries = struct.unpack_from(order + "H", content, first)[0]
+    struct.pack_into(order + "I", content, first + 2 + 12 * entries, 0)
+    del content[second:]
+    reader = read_frames(file_of(path, content))
+    assert (reader.count, reader.axis) == (5, "Z")
+    np.testing.assert_array_equal(np.stack(list(reader)), frames)
+    end = content.index(frames.tobytes()) + frames.nbytes
+    assert len(list(read_frames(file_of(path, content[:end])))) == 5
+    for missing in (1, frames[0].size, 3 * frames[0].size, 4 * frames[0].size):
+        rejects(file_of(path, content[: end - missing]), r"large\.tif")
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "jpeg", "tiff_deflate"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_page_with_zeroed_data_is_rejected(tmp_path, compression, share):
     """As after a lost connection. LZW and PackBits have no checksum: the values end too early."""
@@ -266,11 +279,14 @@ def test_error_names_the_package_for_an_unknown_compression(stack, tmp_path):
 
 def test_error_names_a_picture_that_was_removed(stack, tmp_path):
     folder = write_folder(tmp_path / "scan", stack)
-    frames = iter(read_frames(folder))
-    assert len([next(frames) for _ in range(3)]) == 3
-    (folder / "frame 3.png").unlink()
-    with pytest.raises(ValueError, match=r"read from .*frame 3\.png: no such file"):
-        next(frames)
+    for source in (folder, (folder / f"frame {k}.png" for k in range(len(stack)))):
+        frames = iter(read_frames(source))
+        assert len([next(frames) for _ in range(3)]) == 3
+        kept = (folder / "frame 3.png").read_bytes()
+        (folder / "frame 3.png").unlink()
+        with pytest.raises(ValueError, match=r"read from .*frame 3\.png: no such file"):
+            next(frames)
+        file_of(folder / "frame 3.png", kept)
 
 
 @pytest.mark.parametrize("change", ["another stack", "one page more", "one file"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,6 +69,16 @@ def overwrite_tags(path: Path, **values: int) -> Path:
     return path
 
 
+def packed(path: Path, frames: NDArray[np.uint16], bits: int) -> Path:
+    """Write frames as cameras do that put three bytes where two numbers of 12 bits are."""
+    count, rows, columns = frames.shape
+    octets = frames.astype(">u2").view(np.uint8).reshape(count, rows, columns, 2)
+    numbers = np.unpackbits(octets, axis=3)[..., -bits:]
+    for page in np.packbits(numbers.reshape(count, rows, -1), axis=2):
+        tifffile.imwrite(path, page, append=True, metadata=None, photometric="minisblack")
+    return overwrite_tags(path, BitsPerSample=bits, ImageWidth=columns)
+
+
 def set_of_ome(folder: Path, frames: NDArray) -> Path:
     """Write a file for each frame of one OME-TIFF, and return the folder."""
     folder.mkdir()
@@ -101,9 +113,10 @@ def assert_frames(source: object, expected: NDArray, **options: object) -> None:
 def test_grey_frames_of_arrays_and_folders_are_those_that_were_given(stack, tmp_path):
     folder, other = (write_folder(tmp_path / name, stack) for name in ("scan", "scan [3]"))
     files = [folder / f"frame {k}.png" for k in range(COUNT)]
+    np.save(tmp_path / "a.npy", stack)
     for array in (stack, list(stack), iter(stack), one_buffer(stack), Lazy(stack)):
         assert_frames(array, stack, color=True)
-    for names in (folder, f"{folder}/frame*.png", files):
+    for names in (folder, f"{folder}/frame*.png", files, iter(files), tmp_path / "a.npy"):
         assert_frames(names, stack, color=True)
     for names in (other, other / "frame [0-9]*.png"):
         assert_frames(names, stack)
@@ -177,12 +190,56 @@ def test_types_of_numbers_are_kept_or_become_float32(stack, tmp_path):
     assert_frames(bits, np.where(stack > 99, np.uint8(255), np.uint8(0)))
 
 
+def test_packed_12_bits_are_read_and_10_bits_name_the_package(stack, tmp_path):
+    levels = stack.astype(np.uint16) * 3 + 1
+    assert_frames(packed(tmp_path / "a.tif", levels * 5, 12), levels * 5)
+    path = packed(tmp_path / "b.tif", levels, 10)
+    if importlib.util.find_spec("imagecodecs"):
+        assert_frames(path, levels)
+    else:
+        with pytest.raises(ValueError, match=r"requires the .imagecodecs. package"):
+            list(read_frames(path))
+
+
+@pytest.mark.parametrize("scale", [256, 257])
+def test_palette_of_either_scale_becomes_its_colors(tmp_path, scale):
+    """Programs write v · 256 or v · 257 for the 8-bit v; Pillow reads both as v."""
+    levels = np.random.default_rng(1).integers(0, 256, (3, 256))
+    numbers = np.arange(240, dtype=np.uint8).reshape(12, 20)
+    colormap = (levels * scale).astype(np.uint16)
+    path = tiff(tmp_path / "p.tif", numbers, photometric="palette", colormap=colormap)
+    read = next(iter(read_frames(path, color=True)))
+    np.testing.assert_array_equal(read, levels.T[numbers])
+    with Image.open(path) as picture:
+        np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
+
+
 def test_imagej_display_palette_is_ignored(stack, tmp_path):
     """ImageJ stores the table by which it shows grey levels, as Fire or Blue, as a palette."""
     table = np.zeros((3, 256), np.uint16)
     table[2] = 257 * np.arange(256)[::-1]
     how = {"imagej": True, "photometric": "palette", "colormap": table}
     assert_frames(tiff(tmp_path / "p.tif", stack, metadata={"axes": "ZYX"}, **how), stack)
+
+
+def test_zarr_arrays_and_folders_are_read(stack, tmp_path):
+    zarr = pytest.importorskip("zarr")
+    array = zarr.open(str(tmp_path / "a.zarr"), mode="w", shape=stack.shape, dtype="u1")
+    array[:] = stack
+    for source in (array, tmp_path / "a.zarr"):
+        assert_frames(source, stack)
+
+
+def test_jpeg_and_its_orientation_are_read(tmp_path):
+    """A smooth image loses a grey level or two; noise would lose more."""
+    smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
+    path = by_pillow(tmp_path / "a.tif", smooth[None], compression="jpeg", quality=95)
+    (frame,) = read_frames(path)
+    assert np.abs(frame.astype(int) - smooth).max() <= 3
+    turned = Image.Exif()
+    turned[0x0112] = 6  # the camera was held sideways
+    Image.fromarray(smooth).save(tmp_path / "a.jpg", quality=95, exif=turned)
+    assert np.abs(read_grey(tmp_path / "a.jpg").astype(int) - np.rot90(smooth, -1)).max() <= 3
 
 
 def test_any_file_of_an_ome_tiff_of_many_opens_all(stack, tmp_path):
@@ -196,6 +253,12 @@ def test_any_file_of_an_ome_tiff_of_many_opens_all(stack, tmp_path):
 def test_png_with_alpha_is_read_without_it(stack, tmp_path):
     Image.fromarray(np.stack([stack[0], 255 - stack[0]], axis=-1)).save(tmp_path / "a.png")
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), stack[0])
+
+
+def test_frames_of_a_gif_are_read(stack, tmp_path):
+    reader = read_frames(by_pillow(tmp_path / "a.gif", stack))
+    assert (reader.count, reader.files) == (None, (tmp_path / "a.gif",))
+    assert np.abs(np.stack(list(reader)).astype(int) - stack).max() <= 1
 
 
 def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
@@ -222,6 +285,38 @@ def test_preview_beside_pages_is_no_frame(stack, tmp_path, place):
     assert_frames(tmp_path / "a.tif", stack[:3])
 
 
+# --- Axes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["imagej", "ome", "shaped"])
+@pytest.mark.parametrize(
+    ("axes", "lengths", "choice", "frames", "axis"),
+    [
+        ("ZCYX", (3, 2), {"channel": 1}, [1, 3, 5], "Z"),
+        ("TZYX", (2, 3), {"time": 1}, [3, 4, 5], "Z"),
+        ("TCYX", (3, 2), {"channel": 1}, [1, 3, 5], "T"),
+        ("CYX", (6,), {"channel": 2}, [2], ""),
+    ],
+)
+def test_channel_and_time_select_a_stack(
+    stack, tmp_path, kind, axes, lengths, choice, frames, axis
+):
+    options = {"imagej": True} if kind == "imagej" else {"photometric": "minisblack"}
+    path = tmp_path / ("many.ome.tif" if kind == "ome" else "many.tif")
+    many = stack[: math.prod(lengths)].reshape(*lengths, *stack.shape[1:])
+    tiff(path, many, metadata={"axes": axes}, **options)
+    lengths_text = ", ".join(f"{a}={n}" for a, n in zip(axes, lengths, strict=False))
+    with pytest.raises(
+        ValueError, match=f"has the axes {lengths_text} besides rows and columns, .* choose a chan"
+    ):
+        read_frames(path)
+    assert_frames(path, stack[frames], **choice)
+    assert read_frames(path, **choice).axis == axis
+    count = lengths[axes.index("C" if "channel" in choice else "T")]
+    with pytest.raises(ValueError, match=rf"it has {count} along axis ., got number {count} "):
+        read_frames(path, **dict.fromkeys(choice, count))
+
+
 @pytest.mark.parametrize("axis", ["Z", "T", "Q"])
 @pytest.mark.parametrize("color", [False, True])
 def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):
@@ -243,36 +338,83 @@ def test_times_have_no_positions(stack, tmp_path):
     assert (read_frames(film).pixel_size, read_frames(film).positions) == (2.0, None)
 
 
-def test_zarr_array_is_read_and_group_is_rejected(stack, tmp_path):
+def test_series_selects_an_image_of_the_file(stack, tmp_path):
+    path = tmp_path / "a.ome.tif"
+    images = {2.0: stack, 5.0: stack[:4, :9]}
+    with tifffile.TiffWriter(path) as file:
+        for size, frames in images.items():
+            sizes = {"PhysicalSizeX": size, "PhysicalSizeY": size}
+            file.write(frames, metadata={"axes": "ZYX", **sizes})
+    for series, (size, frames) in enumerate(images.items()):
+        assert read_frames(path, series=series).pixel_size == size
+        assert_frames(path, frames, series=series)
+    for options in ({}, {"series": 2}):
+        with pytest.raises(ValueError, match=r"holds 2 series of images \(.*\): choose one"):
+            read_frames(path, **options)
+    for source in (stack, [stack[0]], read_frames(stack)):
+        with pytest.raises(
+            ValueError, match="channel must be left out for frames without that axis"
+        ):
+            read_frames(source, channel=0)
+
+
+def write_ome_zarr(path: Path, frames: NDArray, version: str, axes: str = "tczyx") -> None:
+    """Write an image in two sizes with the layout of the standard, without a package for it."""
     zarr = pytest.importorskip("zarr")
-    array = zarr.open_group(str(tmp_path / "a.zarr"), mode="w").create_array("0", data=stack)
-    for source in (array, tmp_path / "a.zarr" / "0"):
-        assert_frames(source, stack)
-    with pytest.raises(
-        ValueError, match=r"a\.zarr: it is a group: give one .* such as .*a\.zarr.0"
-    ):
-        read_frames(tmp_path / "a.zarr")
+    group = zarr.open_group(str(path), mode="w", zarr_format=2 if version == "0.4" else 3)
+    units = {"x": "nanometer", "y": "micrometer", "z": "micrometer"}
+    kinds = {"t": "time", "c": "channel"}
+    about = [
+        {"name": a, "type": kinds.get(a, "space")} | ({"unit": units[a]} if a in units else {})
+        for a in axes
+    ]
+    steps = {"x": 650.0, "y": 0.65, "z": 2.5}
+    sizes = []
+    for k, level in enumerate((frames, frames[..., ::2, ::2])):
+        array = group.create_array(str(k), shape=level.shape, dtype=level.dtype)
+        array[:] = level
+        half = {"x": 2**k, "y": 2**k}
+        scale = [0.5 * steps.get(a, 1.0) * half.get(a, 1) for a in axes]
+        change = [{"type": "scale", "scale": scale}]
+        sizes.append({"path": str(k), "coordinateTransformations": change})
+    both = [{"type": "scale", "scale": [2.0] * len(axes)}]
+    image = {"axes": about, "datasets": sizes, "coordinateTransformations": both}
+    if version == "0.4":
+        group.attrs["multiscales"] = [image | {"version": version}]
+    else:
+        group.attrs["ome"] = {"version": version, "multiscales": [image]}
 
 
-def test_photograph_is_not_turned_by_its_orientation(tmp_path):
-    """The sensor of orientation flips under a camera that looks down; the pixels do not."""
-    smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
-    for k, turn in enumerate((1, 3, 6)):
-        exif = Image.Exif()
-        exif[0x0112] = turn
-        Image.fromarray(smooth).save(tmp_path / f"{k}.jpg", quality=95, exif=exif)
-    for frame in (*read_frames(tmp_path), read_grey(tmp_path / "2.jpg")):
-        assert np.abs(frame.astype(int) - smooth).max() <= 3  # JPEG
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
+    many = np.stack([np.stack([stack, 255 - stack])] * 2)
+    many[1] //= 2
+    write_ome_zarr(tmp_path / "a", many, version)
+    with pytest.raises(ValueError, match=r"has the axes T=2, C=2, Z=12 .* choose a channel"):
+        read_frames(tmp_path / "a")
+    reader = read_frames(tmp_path / "a", channel=1, time=1)
+    assert (reader.axis, reader.count, reader.pixel_size) == ("Z", COUNT, pytest.approx(0.65))
+    assert reader.positions == pytest.approx(2.5 * np.arange(COUNT))
+    np.testing.assert_array_equal(np.stack(list(reader)), (255 - stack) // 2)
+    # A group for each image, as bioformats2raw writes it, and fewer axes.
+    for k, frames in enumerate((stack, stack[:4])):
+        write_ome_zarr(tmp_path / "b.zarr" / str(k), frames, version, "zyx")
+    (tmp_path / "b.zarr" / ("zarr.json" if version == "0.5" else ".zgroup")).write_text(
+        '{"zarr_format": 3, "node_type": "group"}' if version == "0.5" else '{"zarr_format": 2}'
+    )
+    with pytest.raises(ValueError, match="holds 2 series of images: choose one"):
+        read_frames(tmp_path / "b.zarr")
+    assert read_frames(tmp_path / "b.zarr", series=1).count == 4
 
 
-@pytest.mark.parametrize("kind", ["imagej", "ome", "shaped"])
-@pytest.mark.parametrize(
-    ("axes", "shape", "lengths"),
-    [("ZCYX", (3, 2), "Z=3, C=2"), ("TZYX", (2, 3), "T=2, Z=3"), ("CYX", (6,), "C=6")],
-)
-def test_channels_and_second_axis_are_rejected(stack, tmp_path, kind, axes, shape, lengths):
-    options = {"imagej": True} if kind == "imagej" else {"photometric": "minisblack"}
-    path = tmp_path / ("many.ome.tif" if kind == "ome" else "many.tif")
-    tiff(path, stack[:6].reshape(*shape, *stack.shape[1:]), metadata={"axes": axes}, **options)
-    with pytest.raises(ValueError, match=f"has the axes {lengths} besides rows and columns"):
-        read_frames(path)
+def test_other_groups_of_zarr_are_rejected(stack, tmp_path):
+    """A plate, a group of arrays, version 0.3, and an image with its frames along the last axis."""
+    write_ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
+    write_ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
+    zarr = pytest.importorskip("zarr")
+    old = zarr.open_group(str(tmp_path / "b"), mode="a")
+    old.attrs["multiscales"] = [{"axes": ["z", "y", "x"], "datasets": [{"path": "0"}]}]
+    zarr.open_group(str(tmp_path / "c"), mode="w").create_group("A")
+    for name in "abc":
+        with pytest.raises(ValueError, match=rf"{name}: it must hold an array, or OME-Zarr 0.4 or"):
+            read_frames(tmp_path / name)

@@ -66,11 +66,28 @@ def test_dimensions_of_dask_arrays_can_be_in_any_order():
 
 def test_names_of_dimensions_can_be_upper_case():
     frames = labeled()
-    for wrong in (frames[0], frames.expand_dims(time=2), frames.rename(z="Channel")):
-        with pytest.raises(ValueError, match=r"three dimensions, .* no channels, got .*y, x: isel"):
-            read_frames(wrong)
+    with pytest.raises(ValueError, match="three dimensions or more, got y, x"):
+        read_frames(frames[0])
     large = frames.rename(x="X", y="Y").transpose("Y", "X", "z")
     np.testing.assert_array_equal(np.stack(list(read_frames(large))), frames.to_numpy())
+
+
+def test_channel_and_time_select_labeled_frames():
+    frames = labeled()
+    many = frames.expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
+    many = many.transpose("y", "z", "channel", "x", "time")
+    with pytest.raises(ValueError, match=r"has the axes Z=9, C=2, T=3 "):
+        read_frames(many)
+    reader = read_frames(many, channel=1, time=2)
+    assert reader.positions == pytest.approx(Z)
+    np.testing.assert_allclose(np.stack(list(reader)), frames.to_numpy() + 1.0, rtol=1e-6)
+
+
+def test_labeled_pixels_that_are_not_square_give_a_warning():
+    frames = labeled()
+    wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
+    with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
+        assert read_frames(wide).pixel_size is None
 
 
 def test_coordinates_that_number_pixels_are_no_scale():

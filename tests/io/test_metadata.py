@@ -48,25 +48,37 @@ def test_imagej_sizes_are_converted_to_micrometers(tmp_path, unit, spacing, size
     assert reader.positions == (step and pytest.approx(step * np.arange(3)))
 
 
-@pytest.mark.parametrize("dots", [4000, 300 / 2.54])
-def test_resolution_of_a_plain_tiff_is_no_pixel_size(tmp_path, dots):
-    """It is a printer's, which software writes unasked."""
-    how = {"resolution": (dots, dots), "resolutionunit": "CENTIMETER", "metadata": None}
-    tifffile.imwrite(tmp_path / "a.tif", STACK, photometric="minisblack", **how)
+@pytest.mark.parametrize(
+    ("resolution", "unit", "size"),
+    [
+        ((4000, 4000), "CENTIMETER", 2.5),
+        ((4000, 4003), "CENTIMETER", 2.5),  # one in a thousand apart is square still
+        ((0, 0), "CENTIMETER", None),
+        # 72, 300 and 1200 dots per inch.
+        *(((dots / 2.54, dots / 2.54), "CENTIMETER", None) for dots in (72, 300, 1200)),
+        # A resolution in inches is a printer's, which software writes unasked.
+        ((100, 100), "INCH", None),
+        ((100, 100), "NONE", None),
+    ],
+)
+def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolution, unit, size):
+    tifffile.imwrite(
+        tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
+        resolution=resolution, resolutionunit=unit,
+    )  # fmt: skip
     reader = read_frames(tmp_path / "a.tif")
-    assert (reader.pixel_size, reader.positions) == (None, None)
+    assert reader.positions is None
+    assert reader.pixel_size == (size and pytest.approx(size, rel=1e-6))
 
 
-@pytest.mark.parametrize(("ratio", "square"), [(1.0008, True), (1.0025, False), (0.9975, False)])
-def test_pixels_that_are_not_square_give_a_warning(tmp_path, ratio, square):
-    sizes = {"PhysicalSizeX": 2.5, "PhysicalSizeY": 2.5 * ratio}
-    tifffile.imwrite(tmp_path / "a.ome.tif", STACK, metadata={"axes": "ZYX", **sizes})
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        size = read_frames(tmp_path / "a.ome.tif").pixel_size
-    assert size == (2.5 if square else None)
-    assert bool(caught) != square
-    assert all("a.ome.tif has pixels of 2.5×" in str(w.message) for w in caught)
+@pytest.mark.parametrize("resolution", [(4000, 4010), (4010, 4000)])
+def test_pixels_that_are_not_square_give_a_warning(tmp_path, resolution):
+    tifffile.imwrite(
+        tmp_path / "a.tif", STACK, photometric="minisblack", metadata=None,
+        resolution=resolution, resolutionunit="CENTIMETER",
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match=r"a\.tif has pixels of .* not square"):
+        assert read_frames(tmp_path / "a.tif").pixel_size is None
 
 
 @pytest.mark.parametrize(
@@ -114,6 +126,15 @@ def test_ome_positions_without_a_unit_are_not_used_and_disagreement_is_noted(
         assert positions is None
     else:
         assert np.diff(positions) == pytest.approx([used] * 2)
+
+
+def test_positions_belong_to_the_selected_channel_and_time(tmp_path):
+    many = np.zeros((2, 3, 2, 8, 10), np.uint8)  # T, Z, C
+    z = [[[[20.0 * t + 5 * c + k] for c in range(2)] for k in (0, 1, 3)] for t in range(2)]
+    plane = {"PositionZ": np.ravel(z).tolist(), "PositionZUnit": ["µm"] * 12}
+    tifffile.imwrite(tmp_path / "a.ome.tif", many, metadata={"axes": "TZCYX", "Plane": plane})
+    reader = read_frames(tmp_path / "a.ome.tif", channel=1, time=1)
+    assert reader.positions == pytest.approx([25, 26, 28])
 
 
 def ome_text(path: Path) -> str:

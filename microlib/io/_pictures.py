@@ -1,0 +1,133 @@
+"""Stacks of one picture a file, GIF and video."""
+
+from __future__ import annotations
+
+import glob
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, ImageSequence
+
+from microlib._common import SOFTWARE
+from microlib.io._source import NamedFrames, Source, reading
+from microlib.io._tiff import TIFF, open_tiff
+
+PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
+#: Videos with an index of their frames, and others, whose number OpenCV computes from times.
+_INDEXED = frozenset({".avi", ".mp4", ".m4v", ".mov"})
+FILMS = _INDEXED | {".mkv", ".mpg", ".mpeg", ".webm", ".wmv"}
+
+
+def image_files(path: Path) -> list[Path]:
+    """Return the images in a folder or of a pattern, without pictures and maps of earlier results.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from microlib.io._pictures import image_files
+    >>> image_files(Path("no such folder/*.png"))
+    Traceback (most recent call last):
+    ValueError: frames must hold images, got none in no such folder/*.png
+    """
+    if path.is_dir():
+        found = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
+    elif path.parent.is_dir():  # which may have brackets in its name
+        found = [*path.parent.glob(path.name)]
+    else:
+        found = [Path(name) for name in glob.glob(str(path))]
+    found = sorted(file for file in found if file.name[0] != ".")
+    own = [file for file in found if _read_exif(file)[1] == SOFTWARE]
+    if own and len(own) < len(found):
+        warnings.warn(f"{', '.join(file.name for file in own)}: results, left out", stacklevel=2)
+        found = [file for file in found if file not in own]
+    if not found:
+        raise ValueError(f"frames must hold images, got none in {path}")
+    return found
+
+
+def open_pictures(files: Sequence[Path]) -> Source:
+    """Return one frame a file; EXIF orientation is applied unless it changes among the files."""
+    turn = len({_read_exif(file)[0] for file in files}) <= 1
+    if not turn:
+        warnings.warn("photographs of several orientations are not turned", stacklevel=2)
+
+    def read() -> NamedFrames:
+        for k, file in enumerate(files):
+            yield f"frames[{k}], {file},", read_picture(file, turn)
+
+    return Source(read, len(files), files=tuple(files))
+
+
+def _read_exif(file: Path) -> tuple[int, str]:
+    """Return the EXIF orientation and the software of a picture."""
+    try:
+        with Image.open(file) as picture:
+            exif = picture.getexif()
+            software = picture.info.get("Software") or exif.get(ExifTags.Base.Software, "")
+            return exif.get(ExifTags.Base.Orientation, 1), software
+    except Exception:  # missing, of another format, damaged or huge: reported when it is read
+        return 1, ""
+
+
+def read_picture(file: Path, turn: bool = True) -> NDArray:
+    """Return one picture, grey or RGB; its EXIF orientation is applied if `turn`."""
+    with reading(f"frames cannot be read from {file}"):
+        if not file.is_file():
+            raise ValueError("no such file")
+        if file.suffix.lower() in TIFF:
+            source = open_tiff(file, {}, alone=True)
+            if source.count != 1:
+                raise ValueError(f"it must hold one page to be one frame, got {source.count}")
+            return next(source.read())[1]
+        # Not imread, which fails on names outside the system's encoding.
+        data = file.read_bytes()
+        # OpenCV 4 fills up a JPEG that is cut off: the marker of its end must follow its last scan.
+        cut = data[:2] == b"\xff\xd8" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
+        flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+        flags |= 0 if turn else cv2.IMREAD_IGNORE_ORIENTATION
+        try:
+            image = None if cut else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:  # of nothing at all, or more than 2³⁰ px
+            image = None
+        if image is None:
+            raise ValueError("damaged, too large or of an unknown format")
+    # OpenCV puts blue first.
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def open_gif(path: Path) -> Source:
+    """Return the frames of a GIF, which OpenCV would read also where they are damaged."""
+
+    def read() -> NamedFrames:
+        with reading(f"frames cannot be read from {path}"), Image.open(path) as film:
+            for k, frame in enumerate(ImageSequence.Iterator(film)):
+                yield f"frame {k} of {path}", np.asarray(frame.convert("RGB"))
+
+    return Source(read, files=(path,))
+
+
+def open_film(path: Path) -> Source:
+    """Return the frames of a video, whose number in the header is checked when they are read."""
+    film = cv2.VideoCapture(str(path))
+    if not film.isOpened():
+        raise ValueError("not a video that OpenCV can read")
+    stated = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    film.release()
+    indexed = stated > 0 and path.suffix.lower() in _INDEXED
+
+    def read() -> NamedFrames:
+        film, count = cv2.VideoCapture(str(path)), 0
+        while (answer := film.read())[0]:
+            yield f"frame {count} of {path}", np.ascontiguousarray(answer[1][..., ::-1])
+            count += 1
+        numbers = f"{path}: its header has {stated} frames, {count} can be read"
+        if count == 0 or (indexed and count < stated):
+            raise ValueError(f"frames cannot be read from {numbers}")
+        if count != stated:
+            warnings.warn(numbers, stacklevel=2)
+
+    return Source(read, stated if indexed else None, files=(path,))
