@@ -22,6 +22,7 @@ from benchmarks.photographs import grey_levels, middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from microlib.focus._measures import MEASURES
 from microlib.focus.multiscale._depth import RULES, multiscale_depth
 from microlib.focus.multiscale._settings import Settings
 from tests.scenes import straight_step, tilted_plane
@@ -102,7 +103,9 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
 
 PLAIN = "SML 9×9, three points"
 METHODS: dict[str, Callable[[NDArray], NDArray]] = {
-    f"SML {side}×{side}, three points": _three_points("sml", window=side) for side in (5, 9)
+    f"{name.upper()} {side}×{side}, three points": _three_points(name, window=side)
+    for name in MEASURES
+    for side in (5, 9)
 } | {
     "Tenengrad 9×9, three points": _three_points(_tenengrad),
     "grey variance 9×9, three points": _three_points(_grey_variance),

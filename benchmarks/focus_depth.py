@@ -20,6 +20,7 @@ from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.disc_blur import disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from microlib.focus._measures import MEASURES
 
 #: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
 #: used while constants were chosen.
@@ -270,7 +271,7 @@ def thin_bar(seed: int, width: int) -> tuple[Scene, NDArray]:
 def others() -> pd.DataFrame:
     """Return shares of certain depths on bare ground, errors of asymmetric peaks, and thin bars."""
     rows = []
-    for measure in ("multiscale", "sml"):
+    for measure in ("multiscale", *MEASURES):
         for quality in (65, 85, 95):
             share = []
             for seed in SEEDS:

@@ -70,7 +70,7 @@ LEVEL = 1e-3
 #: Public, but not called here: a category of warnings, and a picture, as below.
 NOT_CALLED = {"membrane.SmallSlopeWarning", "tracking.plot_track"}
 #: Methods that take nothing, and pictures, whose tests are tests/test_plots.py.
-WITHOUT = {"to_dict", "to_frame", "plot"}
+WITHOUT = {"to_dict", "to_frame", "to_xarray", "plot"}
 
 
 def public() -> Iterator[str]:

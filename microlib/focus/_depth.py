@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Frames, Image, whole
 from microlib.focus import multiscale
 from microlib.focus._filters import blur
-from microlib.focus._measures import FocusMeasure, single_measure
+from microlib.focus._measures import MEASURES, FocusMeasure, single_measure
 from microlib.focus._peaks import three_point_peak, track_peaks
 from microlib.focus._registration import Registration
 from microlib.focus._registration import register as find_registration
@@ -22,10 +22,10 @@ from microlib.focus._result import DepthMap, FocusResult, build_result
 from microlib.focus._stack import (
     Progress,
     Stack,
-    bad_frames,
     margin_mask,
     read_stack,
     warn_of_changes,
+    without_bad_frames,
 )
 from microlib.io import read_frames
 
@@ -62,7 +62,7 @@ def depth_from_focus(
         from an xarray.DataArray.
     spacing : float, optional
         Distance between adjacent frames, µm, given instead of `positions`. The first frame is at 0.
-    measure : {"multiscale", "sml"} or callable
+    measure : {MEASURES} or callable
         Focus measure. "multiscale" combines several focus measures; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
         same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
@@ -179,7 +179,7 @@ def depth_from_focus(
     count, dtype, margin = len(stack.positions), stack.grey[0].dtype, margin_mask(stack.grey)
     registration = find_registration(stack.grey) if register else None
     if registration is None:
-        stack = stack.only(np.flatnonzero(~bad_frames(stack.grey)))
+        stack = without_bad_frames(stack)
         warn_of_changes(stack.grey)
     else:
         stack = registered(stack, registration)
@@ -196,11 +196,22 @@ def depth_from_focus(
     return build_result(found, stack, dtype, registration=registration, margin=margin)
 
 
+depth_from_focus.__doc__ = str(depth_from_focus.__doc__).replace(
+    "{MEASURES}", "{" + ", ".join(f'"{name}"' for name in ("multiscale", *MEASURES)) + "}"
+)
+
+
 def registered(stack: Stack, registration: Registration) -> Stack:
     """Return the frames that could be registered, aligned with the middle one."""
     grey = registration.images(stack.grey)
-    images = grey if stack.images is stack.grey else registration.images(stack.images)
-    return replace(stack.only(registration.kept), grey=grey, images=images)
+    in_color = stack.images is not stack.grey
+    return replace(
+        stack,
+        grey=grey,
+        images=registration.images(stack.images) if in_color else grey,
+        positions=stack.positions[registration.kept],
+        numbers=registration.kept,
+    )
 
 
 def three_point_depth(

@@ -93,8 +93,14 @@ def register(frames: Sequence[Image]) -> Registration:
     small = list(read_frames((frame.astype(np.float32) for frame in frames), reduce=factor))
     # A band-pass filter: coarser than noise and finer than the illumination.
     bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
-    poses = _chain(bands, count // 2)
-    kept = np.array(sorted(poses))
+    # If the middle frame shows another scene, its neighbors hardly do.
+    chains = (_chain(bands, start) for start in (count // 2, count // 2 - 1, count // 2 + 1))
+    most: dict[int, Array] = {}
+    for chain in chains:
+        most = max(most, chain, key=len)
+        if len(most) >= max(3, count / 2):
+            break
+    kept = np.array(sorted(most))
     if len(kept) < count:
         out = np.setdiff1d(np.arange(count), kept)
         names = ", ".join(map(str, out[:9])) + (" …" if len(out) > 9 else "")
@@ -104,12 +110,15 @@ def register(frames: Sequence[Image]) -> Registration:
                 f"frames {names} cannot be registered to those before them"
             )
         warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=3)
-    gain, offset = _brightness(small, kept, poses)
+    reference = int(kept[np.abs(kept - count // 2).argmin()])
+    inverse = np.linalg.inv(most[reference])
+    relative = {k: most[k] @ inverse for k in most}
+    gain, offset = _brightness(small, kept, relative, reference)
     warps = np.full((count, 2, 3), np.nan)
     # From pixels of the small frames, whose centers lie between those of a block.
     scale = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
     for k in kept:
-        warps[k] = (scale @ poses[int(k)] @ np.linalg.inv(scale))[:2]
+        warps[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
     return Registration(kept=kept, warps=warps, gain=gain, offset=offset)
 
 
@@ -167,9 +176,12 @@ def _robust(design: NDArray, target: NDArray) -> Array:
 
 
 def _brightness(
-    small: Sequence[NDArray], kept: NDArray[np.intp], warps: dict[int, Array]
+    small: Sequence[NDArray],
+    kept: NDArray[np.intp],
+    warps: dict[int, Array],
+    reference: int,
 ) -> tuple[Array, Array]:
-    """Return gain and offset of every frame relative to the middle one, NaN for those left out."""
+    """Return gain and offset of every frame relative to the reference, NaN for those left out."""
     smooth = [_smooth(small[k], warps[int(k)][:2]) for k in kept]
     links = [_illumination_change(a, b, m & n) for (a, m), (b, n) in pairwise(smooth)]
     # An offset of less than 1 % of the grey level is none.
@@ -180,9 +192,8 @@ def _brightness(
     gain[kept[0]], offset[kept[0]] = 1, 0
     for (a, b), (factor, plus, _) in zip(pairwise(kept), links, strict=True):
         gain[b], offset[b] = factor * gain[a], factor * offset[a] + plus
-    middle = len(small) // 2
-    gain /= gain[middle]
-    return gain, offset - gain * offset[middle]
+    gain /= gain[reference]
+    return gain, offset - gain * offset[reference]
 
 
 def _smooth(image: NDArray, warp: Array) -> tuple[NDArray, NDArray[np.bool_]]:

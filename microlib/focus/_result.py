@@ -32,6 +32,9 @@ class FocusResult(Tidy):
         roughness of the depth and the bias by asymmetric peaks and by peak locking, as far as the
         middles of the peaks show it. It does not contain other errors that are smooth over ten
         pixels.
+    confidence : ndarray of float32, shape (rows, cols)
+        1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
+        spacing is that of the averaged frames where "multiscale" averages.
     index : ndarray of int32, shape (rows, cols)
         Number of the frame nearest to the depth by "multiscale", of the sharpest frame by any other
         measure; -1 where `depth` is NaN.
@@ -49,10 +52,14 @@ class FocusResult(Tidy):
         frame, plus `offset`.
     pixel_size : float or None
         Side of a pixel of the maps, µm, if the metadata of the frames contain it.
+    corner : (float, float)
+        x and y of the middle of the first pixel, in pixels of the maps from where x and y of the
+        frames are 0: not 0 of a region.
     """
 
     depth: NDArray[np.float32]
     uncertainty: NDArray[np.float32]
+    confidence: NDArray[np.float32]
     index: NDArray[np.int32]
     all_in_focus: Image
     at_end: NDArray[np.bool_]
@@ -60,6 +67,13 @@ class FocusResult(Tidy):
     gain: Array | None = None
     offset: Array | None = None
     pixel_size: float | None = None
+    corner: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """x and y of the middle of the first pixel, µm; 0 where the pixel size is not known."""
+        size = self.pixel_size or 0.0
+        return size * self.corner[0], size * self.corner[1]
 
     def __repr__(self) -> str:
         rows, cols = self.depth.shape
@@ -98,6 +112,31 @@ class FocusResult(Tidy):
                 "at_end": np.asarray(self.at_end).mean(),
             }
         )
+
+    def to_xarray(self) -> Any:
+        """Return the maps with their coordinates; needs xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            Depth, uncertainty, confidence, frame number, all-in-focus image and `at_end`, over y
+            and x in µm if the pixel size is known.
+        """
+        import xarray  # optional
+
+        found = xarray.Dataset(
+            {
+                name: (("y", "x", "channel")[: values.ndim], values)
+                for name, values in vars(self).items()
+                if name in ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
+            }
+        )
+        for name in ("depth", "uncertainty"):
+            found[name].attrs["units"] = "µm"
+        if self.pixel_size is not None:
+            for axis, first, count in zip("xy", self.origin, self.depth.shape[::-1], strict=True):
+                found[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
+        return found
 
     def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
         """Draw the maps by Matplotlib: all in focus, height and uncertainty.
@@ -179,14 +218,17 @@ def build_result(
     beyond = found.at_end & (to_end < found.spacing / 2)
     random = np.float32((high - low) / np.sqrt(12))
     uncertainty = np.where(beyond, np.hypot(found.uncertainty, random), found.uncertainty)
+    relative = uncertainty / np.float32(found.spacing)
     index = stack.numbers[index].astype(np.int32)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
+        confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
         index=np.where(known, index, -1).astype(np.int32),
         all_in_focus=as_type(composite(stack.images, found.frame), dtype),
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
+        corner=stack.corner,
         warps=warps,
         gain=gain,
         offset=offset,

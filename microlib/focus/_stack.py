@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import islice, product
+from dataclasses import dataclass, replace
+from itertools import combinations, islice, product
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Image
@@ -40,7 +39,7 @@ class Stack:
         Position of each frame, µm.
     numbers : ndarray of int, shape (n,)
         Number of each frame in the source. Frames of the source may be left out of the stack.
-    pixel_size
+    pixel_size, corner
         From the frames' reader.
     """
 
@@ -49,11 +48,7 @@ class Stack:
     positions: Array
     numbers: NDArray[np.intp]
     pixel_size: float | None = None
-
-    def only(self, kept: NDArray[np.intp]) -> Stack:
-        """Return the stack of some frames."""
-        grey, images = ([frames[k] for k in kept] for frames in (self.grey, self.images))
-        return Stack(grey, images, self.positions[kept], self.numbers[kept], self.pixel_size)
+    corner: tuple[float, float] = (0.0, 0.0)
 
 
 def read_stack(
@@ -81,17 +76,32 @@ def read_stack(
     z = check_positions(positions, spacing, len(images)) if z is None else z
     check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
     grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in images] if reader.color else images
-    return Stack(grey, images, z, np.arange(len(z)), reader.pixel_size)
+    return Stack(grey, images, z, np.arange(len(z)), reader.pixel_size, reader.corner)
+
+
+def without_bad_frames(stack: Stack) -> Stack:
+    """Return a stack without the `bad_frames`; warn if there are some."""
+    bad = bad_frames(stack.grey)
+    if not bad.any():
+        return stack
+    kept = np.flatnonzero(~bad)
+    return replace(
+        stack,
+        grey=[stack.grey[k] for k in kept],
+        images=[stack.images[k] for k in kept],
+        positions=stack.positions[kept],
+        numbers=stack.numbers[kept],
+    )
 
 
 def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
     """Return which frames do not belong to a stack: black, white, repeated, or of other brightness.
 
     One of them would give ground without texture a common peak. The brightness of a frame is
-    compared with the median of five frames, which follows any change in one direction. The limit is
-    above what focus alone changes (a camera that Micro-Manager simulates: 11 %). Where more than a
-    quarter of the frames differ, there is no rule that some could break, and all frames belong to
-    the stack.
+    compared with its four nearest frames. It is another one if it lies beyond all of them and if no
+    straight line through two of them comes close to it. The limit is above what focus alone changes
+    (a camera that Micro-Manager simulates: 11 %). Where more than a quarter of the frames differ,
+    there is no rule that some could break, and all frames belong to the stack.
 
     Warns
     -----
@@ -103,9 +113,8 @@ def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
         return np.zeros(count, bool)
     statistics = np.array([np.ravel(cv2.meanStdDev(frame)) for frame in frames])
     level, contrast = statistics.T
-    around = sliding_window_view(np.pad(level, 2, mode="reflect"), 5)
-    apart = np.abs(level - np.median(around, axis=1))
-    bad = apart > max(0.15 * abs(np.median(level)), 4 * np.median(np.abs(np.diff(level))))
+    apart = np.array([_from_neighbors(level, k) for k in range(count)])
+    bad = apart.min(axis=1) > max(0.15 * abs(np.median(level)), 8 * np.median(apart[:, 0]))
     if np.median(contrast) > 0.01 * abs(np.median(level)):  # rounded frames of a wall may be equal
         bad |= contrast == 0
         for k in range(1, count):
@@ -120,6 +129,15 @@ def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
             stacklevel=4,
         )
     return bad
+
+
+def _from_neighbors(level: Array, k: int) -> tuple[float, float]:
+    """Return the distances of a level from lines through its four nearest, and from their range."""
+    number = np.arange(len(level))
+    near = np.argsort(np.abs(number - k), kind="stable")[1:5]
+    lines = [level[i] + (k - i) * (level[j] - level[i]) / (j - i) for i, j in combinations(near, 2)]
+    beyond = max(level[near].min() - level[k], level[k] - level[near].max(), 0.0)
+    return float(np.abs(np.array(lines) - level[k]).min()), float(beyond)
 
 
 def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:

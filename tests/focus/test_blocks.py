@@ -34,7 +34,7 @@ def test_depth_of_blocks_equals_depth_of_whole_frames(stack, whole):
     blocks = depth_from_focus(da.from_array(stack, chunks=(4, 192, 192)), POSITIONS)
     assert blocks.depth.shape == SHAPE
     assert len(blocks.depth.chunks[0]) == 2
-    names = ("depth", "uncertainty", "index", "all_in_focus", "at_end")
+    names = ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
     with dask.config.set(scheduler="synchronous"):
         found = dict(zip(names, dask.compute(*(getattr(blocks, n) for n in names)), strict=True))
     for name, value in found.items():
@@ -69,6 +69,7 @@ def test_chunks_of_any_shape_and_a_region(stack, whole):
         found = part.depth.compute()
     same = depth_from_focus(stack, POSITIONS, region=(40, 8, 160, 128))
     np.testing.assert_allclose(found, same.depth, atol=0.02)
+    assert part.corner == same.corner == (40, 8)
 
 
 def test_blocks_are_read_from_and_written_to_zarr(stack, tmp_path):

@@ -7,11 +7,12 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian
+from microlib.focus._measures import MEASURES
 from tests.scenes import straight_step, tilted_plane
 
 #: µm between frames in most stacks here, and blur per µm so that a step out of focus adds 1 px.
 #: All measures that have a name.
-NAMES = ("multiscale", "sml")
+NAMES = ("multiscale", *MEASURES)
 STEP = 25.0
 POSITIONS = STEP * np.arange(11)
 SHAPE = (96, 96)
@@ -89,9 +90,11 @@ def test_depth_step_is_located_to_two_pixels():
     assert not wrong[8:-8, : SHAPE[1] // 2 - 2].any()
     assert not wrong[8:-8, SHAPE[1] // 2 + 2 :].any()
     worst = np.abs(result.depth - height)[8:-8, 8:-8].max(axis=0)
-    stated = np.median(result.uncertainty, axis=0) / STEP
+    confidence = np.median(result.confidence, axis=0)
     # Where it is worst, an error of more than a frame is stated.
-    assert stated[8 + worst.argmax()] > 1 > 0.3 > stated[20]
+    assert confidence[8 + worst.argmax()] < 0.5 < 0.9 < confidence[20]
+    share = result.uncertainty / STEP
+    np.testing.assert_allclose(result.confidence, 1 / (1 + share**2), rtol=1e-4)
 
 
 def test_all_in_focus_image_is_sharper_than_any_frame(dome):
@@ -105,7 +108,7 @@ def test_all_in_focus_image_is_sharper_than_any_frame(dome):
 
 
 def same(first: FocusResult, second: FocusResult) -> None:
-    for field in ("depth", "uncertainty", "index", "all_in_focus", "at_end"):
+    for field in ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end"):
         np.testing.assert_array_equal(getattr(first, field), getattr(second, field), err_msg=field)
 
 
@@ -209,6 +212,7 @@ def test_depth_is_nan_where_frames_are_uniform(measure, dtype, drift):
     result = depth_from_focus(frames, np.arange(12.0), measure=measure)
     assert np.isnan(result.depth).all()
     assert np.isnan(result.uncertainty).all()
+    assert (result.confidence == 0).all()
     assert (result.index == -1).all()
 
 
@@ -219,8 +223,7 @@ def test_depth_is_nan_where_frames_show_only_noise(count):
     result = depth_from_focus(noise, np.arange(float(count)))
     assert np.isnan(result.depth).mean() > 0.99
     plain = depth_from_focus(noise, np.arange(float(count)), measure="sml")
-    # It keeps some depths, and does not trust them.
-    assert np.nanquantile(plain.uncertainty, 0.1) > 1.5
+    assert np.quantile(plain.confidence, 0.9) < 0.3  # it keeps some depths, and does not trust them
 
 
 @pytest.mark.parametrize("measure", NAMES)
@@ -298,7 +301,7 @@ def test_depth_is_right_beyond_256_frames():
         ({"measure": lambda frame: frame - 1.0}, r"measure\(frame\) must be zero or positive"),
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),
         ({"window": 5}, "window must not be given with measure 'multiscale', got 5"),
-        ({"measure": np.abs, "window": 5}, "window must not be given with measure <ufunc"),
+        ({"measure": np.abs, "window": 5}, "window must not be given with measure a function"),
         ({"positions": np.arange(65536.0)}, "positions must hold 3 to 65535 values, got 65536"),
         ({"positions": None}, "positions or spacing must be given, got None"),
         ({"spacing": 1.0}, "positions and spacing must not both be given"),

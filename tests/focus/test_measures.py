@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from microlib.focus import sum_modified_laplacian
+from microlib.focus import depth_from_focus, sum_modified_laplacian
+from microlib.focus._measures import MEASURES
 from microlib.focus.multiscale import _axis, _measure
 
 
@@ -103,12 +104,39 @@ def test_noise_level_is_that_of_untextured_ground():
     assert _axis.noise_level(_axis.sample_tiles(np.zeros((32, 32), np.float32))) > 0
 
 
+# --- Laws of every focus measure that has a name -------------------------------------------------
+
+TEXTURE = ndimage.gaussian_filter(np.random.default_rng(8).normal(0, 60, (40, 57)), 0.8)
+
+
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
-def test_sml_follows_flips_and_transposition(kind):
-    texture = ndimage.gaussian_filter(np.random.default_rng(8).normal(0, 60, (40, 57)), 0.8)
-    image = np.clip(texture + 128, 0, 255).astype(kind)
-    plain = sum_modified_laplacian(image).astype(float)
+@pytest.mark.parametrize("name", MEASURES)
+def test_measure_follows_flips_and_transposition(name, kind):
+    """A measure of one direction would differ between an image and its transpose."""
+    image = np.clip(TEXTURE + 128, 0, 255).astype(kind)
+    plain = np.asarray(MEASURES[name](image, window=5), float)
+    assert plain.shape == image.shape
+    assert plain.min() >= 0
     for turn in (np.transpose, np.flipud, np.fliplr):
-        turned = sum_modified_laplacian(np.ascontiguousarray(turn(image)))
+        turned = MEASURES[name](np.ascontiguousarray(turn(image)), window=5)
         # float32 sums in another order.
         np.testing.assert_allclose(turned, turn(plain), rtol=1e-5, atol=1e-5 * plain.max())
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_a_measure_falls_with_blur_and_ignores_brightness(name):
+    image = TEXTURE.astype(np.float32)
+    means = [
+        np.mean(MEASURES[name](ndimage.gaussian_filter(image, sigma), window=5))
+        for sigma in (0.5, 1.0, 2.0, 4.0)
+    ]
+    assert (np.diff(means) < 0).all()
+    # Levels of 200 have a rounding of 1.5e-5 in float32, of a mean measure of some 100.
+    brighter = np.asarray(MEASURES[name](image + 200, window=5), float)
+    np.testing.assert_allclose(brighter, MEASURES[name](image, window=5), rtol=1e-3, atol=1e-2)
+    assert not np.any(MEASURES[name](np.full((12, 14), 90, np.uint8), window=5))
+
+
+def test_every_measure_is_documented_where_it_is_chosen():
+    for name in MEASURES:
+        assert f'"{name}"' in str(depth_from_focus.__doc__).split("measure : ")[1].split("\n")[0]

@@ -7,6 +7,7 @@ from functools import cache, partial
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from microlib import synthetic
 from microlib.focus import (
@@ -16,6 +17,7 @@ from microlib.focus import (
     smooth_depth,
     sum_modified_laplacian,
 )
+from microlib.focus._measures import MEASURES
 from tests.laws import (
     NUMBER,
     SAME,
@@ -43,7 +45,8 @@ INDEX = np.random.default_rng(7).integers(0, len(Z), SHAPE)
 MAPS = {
     "depth": um.counted_from("z0"),
     "uncertainty": um,
-    **dict.fromkeys(("index", "at_end", "pixel_size"), SAME),
+    "confidence": NUMBER,
+    **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), SAME),
     "all_in_focus": grey,
     **dict.fromkeys(("warps", "gain", "offset"), SAME),
     "to_dict": {
@@ -89,7 +92,7 @@ def test_law_holds(law, name):
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
-    for measure in ("multiscale", "sml"):
+    for measure in ("multiscale", *MEASURES):
         plain = depth_from_focus(STACK, Z, measure=measure).depth
         seen = [np.ascontiguousarray(view.image(frame)) for frame in STACK]
         off = np.abs(depth_from_focus(seen, Z, measure=measure).depth - view.image(plain))
@@ -97,6 +100,25 @@ def test_depth_follows_flips_and_rotations(view):
         assert np.mean(off < 0.01) > 0.98
     follows_view(view, correct_spikes, HOLED, atol=1e-3)
     follows_view(view, lambda depth: smooth_depth(depth, jump=12.0), HOLED, atol=1e-3)
+
+
+def test_xarray_coordinates_equal_positions_in_file(tmp_path):
+    """xarray has a pixel where it was in the microscope's file, in µm."""
+    tifffile.imwrite(
+        tmp_path / "stack.ome.tif",
+        STACK.astype(np.float32),
+        metadata={"axes": "ZYX", "PhysicalSizeX": 2.3, "PhysicalSizeY": 2.3},
+    )
+    found = depth_from_focus(tmp_path / "stack.ome.tif", Z, region=(8, 4, 40, 32))
+    x, y = np.array([[0, 0], [39, 0], [7, 31]]).T
+    wanted = 2.3 * np.column_stack([8 + x, 4 + y])
+    size = np.array([found.pixel_size, found.pixel_size])
+    np.testing.assert_allclose(found.origin + np.column_stack([x, y]) * size, wanted)
+    assert found.all_in_focus[31, 7] in STACK[:, 35, 15]
+    pytest.importorskip("xarray")
+    maps = found.to_xarray()
+    np.testing.assert_allclose(np.column_stack([maps.x[x], maps.y[y]]), wanted)
+    np.testing.assert_array_equal(maps.depth.values[y, x], found.depth[y, x])
 
 
 @pytest.mark.parametrize("count", [8, 11, 41])

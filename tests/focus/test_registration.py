@@ -198,6 +198,7 @@ def test_depth_is_nan_where_a_frame_shows_nothing() -> None:
     assert unknown[:, -2:].mean() > 0.9
     assert unknown[6:-6, 6:-6].mean() < 0.01
     assert (result.index[unknown] == -1).all()
+    assert (result.confidence[unknown] == 0).all()
 
 
 def test_foreign_frame_is_reported_and_left_out() -> None:

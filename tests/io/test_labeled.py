@@ -33,16 +33,21 @@ def test_coordinates_give_pixel_size_positions_and_origin(unit, per_um):
 
 
 @pytest.mark.parametrize("blocks", [False, True])
-def test_depth_has_the_pixel_size_and_chunks_of_its_frames(blocks):
+def test_depth_has_the_coordinates_and_chunks_of_its_frames(blocks):
     frames = labeled()
     if blocks:
         pytest.importorskip("dask")
         frames = frames.chunk({"y": 64, "x": 80})
-    found = depth_from_focus(frames)
-    assert hasattr(found.depth, "chunks") == blocks
-    assert found.pixel_size == 2.0
+    back = depth_from_focus(frames).to_xarray()
+    assert bool(back["depth"].chunks) == blocks
+    np.testing.assert_allclose(back["x"], frames["x"])
+    np.testing.assert_allclose(back["y"], frames["y"])
     # Single precision: a thousandth of a µm is far above its rounding.
-    np.testing.assert_allclose(found.depth, depth_from_focus(stack(), Z).depth, atol=1e-3)
+    np.testing.assert_allclose(back["depth"], depth_from_focus(stack(), Z).depth, atol=1e-3)
+    assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
+    part = depth_from_focus(labeled(), region=(10, 20, 40, 30), reduce=2).to_xarray()
+    np.testing.assert_allclose(part["x"], 300 + 2 * (10.5 + 2 * np.arange(20)))
+    np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
 
 
 @pytest.mark.parametrize("dims", ["yxz", "zxy", "xzy"])

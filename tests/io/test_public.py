@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,7 +107,7 @@ def test_reader_origin_follows_region_and_reduce(region, reduce):
         np.testing.assert_allclose(next(iter(reader)), level, rtol=1e-6)
 
 
-def test_depth_pixel_size_follows_reduce():
+def test_depth_origin_follows_region_and_reduce():
     """In a shift of the part by whole blocks, the depth is the same one, at another place."""
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
@@ -114,4 +115,14 @@ def test_depth_pixel_size_follows_reduce():
     frames = Labeled(stack, 7.0 + Z, y, x)
     found = depth_from_focus(frames, region=(6, 4, 80, 70), reduce=2)
     assert found.pixel_size == pytest.approx(5.2)
+    # The middle of the first block of two.
+    assert found.origin == pytest.approx((12.0 + 6.5 * 2.6, -5.0 + 4.5 * 2.6))
     assert np.nanmedian(found.depth) == pytest.approx(28.0, abs=1.0)
+
+
+def test_origin_follows_a_pixel_size_that_is_set_later():
+    stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
+    found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
+    assert found.origin == (0.0, 0.0)
+    # The middle of the first block is half a pixel of the frame beside its first one.
+    assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))

@@ -23,7 +23,7 @@ from microlib.io import read_frames
 #: `GRID`, as every fourth pixel is used, and so many rows are fitted at a time.
 _OVERLAP, _SIDE = 128, 1024
 #: The maps of a result, in the order in which a block stacks them, and their types.
-_MAPS = {"depth": "f4", "uncertainty": "f4", "index": "i4", "at_end": "?"}
+_MAPS = {"depth": "f4", "uncertainty": "f4", "confidence": "f4", "index": "i4", "at_end": "?"}
 
 
 def is_in_blocks(frames: object) -> bool:
@@ -86,7 +86,8 @@ def depth_in_blocks(
     found = da.overlap.trim_internal(found, overlap, boundary="none")
     maps = {name: found[k].astype(kind) for k, (name, kind) in enumerate(_MAPS.items())}
     image = found[len(_MAPS)].astype(stack.dtype)
-    return FocusResult(**maps, all_in_focus=image, pixel_size=labels.pixel_size)
+    place = {"pixel_size": labels.pixel_size, "corner": labels.corner}
+    return FocusResult(**maps, all_in_focus=image, **place)
 
 
 def _block(
