@@ -164,9 +164,9 @@ def surface_curvature(
     ------
     ValueError
         If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If the map
-        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``, or with coordinates
-        that have a unit and another spacing than `pixel_size`. If `pixel_size` is not positive,
-        `noise` is negative, or `size` is not an odd whole number of at least 3.
+        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``, or if its
+        coordinates have a unit and their spacing is not `pixel_size`. If `pixel_size` is not
+        positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
 
     Warns
     -----

@@ -427,7 +427,7 @@ def decided(table: pd.DataFrame) -> pd.DataFrame:
     table = table[~table["fitted"]]
     assumed = table[table["reading"] == "as assumed"].set_index("claim")["inside"]
     changed = table[table["inside"] != table["claim"].map(assumed)]
-    names = changed.groupby("claim")["reading"].agg(", ".join)
+    names = changed.groupby("claim")["reading"].agg("; ".join)
     return pd.DataFrame(
         {"inside": assumed, "changed by": names.reindex(assumed.index, fill_value="")}
     )
