@@ -53,8 +53,7 @@ def calibrate(
     pixel_size : float or (float, float)
         Size of the sensor pixels, µm.
     pitch : float, optional
-        Distance of neighboring marks of a detected pattern, µm. For an asymmetric lattice of
-        circles, the distance of two rows.
+        Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
         Focal length f of the objective as the manufacturer states it, µm. By default f is
         estimated, which needs a tilted pattern (see Notes).

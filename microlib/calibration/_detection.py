@@ -34,8 +34,7 @@ class Detection(Result):
         Number of the mark of each point. The errors of the points of a mark are correlated.
     positions : ndarray, shape (N, 2)
         Coordinates in the pattern in pitches, the distance between neighboring marks. Times the
-        pitch in µm they are world points up to a shift. For squares they include the measured side;
-        for an asymmetric grid the unit is the distance of the rows.
+        pitch in µm they are world points up to a shift. For squares they include the measured side.
     side : float
         Side of the squares in pitches; NaN for circles.
     misfit : float
