@@ -24,6 +24,7 @@ from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from microlib import (
@@ -79,6 +80,12 @@ def lines() -> np.ndarray:
 @cache
 def circles() -> np.ndarray:
     return synthetic.render_circles(replace(scope(), alpha=0.0, beta=0.0))
+
+
+@cache
+def charuco() -> np.ndarray:
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
 
 
 @cache
@@ -193,6 +200,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
         "pixel_size": 9.9, "image_size": (300, 260),
     },
+    "calibration.detect_charuco": lambda: {"image": charuco()},
     "calibration.detect_circles": lambda: {"image": circles()},
     "calibration.detect_squares": lambda: {"image": squares()},
     "calibration.detect_pattern": lambda: {"image": squares(), "marks": "squares"},
@@ -261,7 +269,7 @@ MAY_BE_UNKNOWN = {
     "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
     "calibration.Calibration",
     # circles have no side, nor have corners
-    "calibration.detect_circles",
+    "calibration.detect_circles", "calibration.detect_charuco",
     # three moves leave no residual to tell an error by
     "calibration.stage_affine",
     # NaN far from the dimple

@@ -8,6 +8,7 @@ from microlib.calibration._stage import stage_affine
 from microlib.calibration._uncertainty import cramer_rao
 from microlib.calibration._views import linear_intrinsics, radial_alignment
 from microlib.calibration.detection._detect import (
+    detect_charuco,
     detect_circles,
     detect_micrometer,
     detect_pattern,
@@ -19,6 +20,7 @@ __all__ = [
     "Detection",
     "calibrate",
     "cramer_rao",
+    "detect_charuco",
     "detect_circles",
     "detect_micrometer",
     "detect_pattern",

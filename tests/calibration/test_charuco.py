@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import detect_pattern, detect_squares
+from microlib.calibration import detect_charuco, detect_pattern, detect_squares
 
 FIELD = 60  # px of a field of the drawn board
 
@@ -57,7 +57,7 @@ def test_charuco_corners_are_accurate_and_named(columns, rows, name, ratio, old,
 
 def test_inverted_charuco_board_has_the_same_corners() -> None:
     image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
-    plain, inverted = (detect_pattern(each, "charuco")[1] for each in (image, 255 - image))
+    plain, inverted = (detect_charuco(each) for each in (image, 255 - image))
     np.testing.assert_array_equal(inverted.grid, plain.grid)
     # The noise of 2 levels moves a corner by 0.05 px, and weighs otherwise on a bright ground.
     np.testing.assert_allclose(inverted.points, plain.points, atol=0.1)
@@ -73,7 +73,7 @@ def test_chessboard_without_markers_is_not_named_charuco(noise, blur) -> None:
     image = image + np.random.default_rng(0).normal(0, noise, image.shape)
     assert detect_pattern(image)[0] == "chessboard"
     with pytest.raises(ValueError, match="no markers in its fields"):
-        detect_pattern(image, "charuco")
+        detect_charuco(image)
 
 
 def test_charuco_board_is_rejected_as_a_chessboard() -> None:

@@ -21,7 +21,7 @@ from microlib.calibration import (
 )
 from microlib.microscope import Microscope
 from microlib.synthetic import render_circles, render_squares
-from tests.calibration import test_boards, test_detection, test_micrometer, test_stage
+from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
 from tests.laws import (
     NUMBER,
     SAME,
@@ -105,6 +105,9 @@ LAWS = {
         },
         covariance(um**-2, NUMBER, um),
         within=1e-6,
+    ),
+    "calibration.detect_charuco": TestedBy(
+        test_charuco.test_inverted_charuco_board_has_the_same_corners
     ),
     "calibration.detect_circles": TestedBy(
         test_detection.test_all_complete_circles_of_thesis_views_are_detected

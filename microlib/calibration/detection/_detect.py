@@ -22,8 +22,7 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue, which are converted to luminance.
     marks : {"auto", "chessboard", "charuco", "squares", "circles"}
-        Kind of the pattern, by default the first of these that is found. "charuco" are the inner
-        corners of a ChArUco board, a chessboard with markers in its fields.
+        Kind of the pattern, by default the first of these that is found.
 
     Returns
     -------
@@ -36,14 +35,6 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     ------
     ValueError
         If `image` is no image or shows no such pattern. The message names the reason for each kind.
-
-    Notes
-    -----
-    A part of a ChArUco board is enough. It may have any number of fields, and markers of any
-    dictionary, also printed inverted. Its corners are detected as those of a chessboard, but the
-    image is compared with a drawn board along the edges of the fields only, so that the markers
-    have no effect. The markers are not identified. As in other patterns, `grid` starts at the first
-    detected column and row.
 
     Examples
     --------
@@ -64,6 +55,45 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
         except ValueError as fault:
             faults.append(str(fault))
     raise ValueError("; ".join(faults))
+
+
+def detect_charuco(image: ArrayLike) -> Detection:
+    """Detect the inner corners of a ChArUco board, a chessboard with markers in its fields.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width) or (height, width, 3 or 4)
+        Grey levels of any range, or red, green and blue, which are converted to luminance. The
+        board may have any number of fields and markers of any dictionary, and may be inverted. A
+        part of the board is enough.
+
+    Returns
+    -------
+    Detection
+        `points` are the inner corners. `grid` starts at the first detected column and row.
+
+    Raises
+    ------
+    ValueError
+        If `image` is no image or shows no chessboard with markers.
+
+    Notes
+    -----
+    The corners are detected as those of a chessboard, but the image is compared with a drawn board
+    along the edges of the fields only, so that the markers have no effect. The markers are not
+    identified.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> from microlib.calibration import detect_charuco
+    >>> dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    >>> board = cv2.aruco.CharucoBoard((7, 5), 40, 30, dictionary)
+    >>> found = detect_charuco(board.generateImage((500, 400), marginSize=20))
+    >>> len(found.points)
+    24
+    """
+    return detect_pattern(image, "charuco")[1]
 
 
 def detect_circles(image: ArrayLike) -> Detection:
