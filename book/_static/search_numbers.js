@@ -16,6 +16,9 @@ globalThis.findNumber = query => {
   // "1.32" and "1.324" stand for 1.3237, too: what begins with them, and what is rounded to them.
   const near = ([other]) => other !== number && (other.startsWith(number) || Math.abs(other - number) <= 0.5001 / 10 ** places);
   const values = places ? Object.entries(thesisNumbers).filter(near).flatMap(([, entries]) => entries.filter(([one]) => one === "value")) : [];
+  // Claims without a number in the thesis come last.
+  const unprinted = ([, text]) => text.includes("printed no number");
+  values.sort((one, other) => unprinted(one) - unprinted(other));
   const all = [...(thesisNumbers[number] ?? []), ...values];
   const found = [...new Map(all.map((entry) => [entry[2], entry])).values()];
   // A whole number alone, as in "16 frames", is no question for a value.

@@ -103,8 +103,8 @@ def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
     for query, first in (
         ("equation (4.7)", "Equation (4.7): "),
         ("0.1012", "Relative probe width"),
-        ("1.32", "Elastic modulus"),  # of 1.3237 the first digits, and
-        ("1.324", "Elastic modulus"),  # rounded
+        ("1.32", "Elastic modulus"),  # the first digits of 1.3237
+        ("6.386", "Magnification, circle 4X"),  # 6.3859, rounded
     ):
         page.goto((html / "search.html").as_uri() + f"?q={query}")
         page.wait_for_selector("ul.search li a")
