@@ -12,6 +12,7 @@ import skimage.data
 from scipy.spatial import cKDTree
 
 from microlib.calibration import detect_circles, detect_micrometer, detect_pattern, detect_squares
+from microlib.calibration.detection import _patterns as patterns
 
 SHAPE, FINE = (240, 320), 8
 DETECT = {"circle": detect_circles, "square": detect_squares}
@@ -381,3 +382,17 @@ def test_corners_of_a_sharpened_image_are_detected():
     found = detect_squares(np.clip(sharp, 0, 255), pattern="chessboard")
     assert len(found.points) == len(truth)
     assert np.abs(beside(found, truth)).max() < 0.1
+
+
+def test_sublattice_is_rejected_by_its_correlation(monkeypatch):
+    """Had the growth skipped marks, the image would not correlate with the drawn pattern."""
+    grown, turn = patterns.grow_lattices, np.array([[1, 1], [-1, 1]])
+
+    def skipping(marks):
+        pieces = [(m, g, g.sum(axis=1) % 2 == 0) for m, g in grown(marks)]
+        return [(m[even], g[even] @ turn // 2) for m, g, even in pieces]
+
+    monkeypatch.setattr(patterns, "grow_lattices", skipping)
+    monkeypatch.setattr(patterns, "complete", lambda *piece: piece)
+    with pytest.raises(ValueError, match="got a correlation of"):
+        detect_circles(board(SQUARE)[0])

@@ -135,7 +135,11 @@ def test_calibration_survives_json_and_csv(tilt, tmp_path):
 
 def test_table_has_every_parameter_with_its_sigma():
     noise = np.random.default_rng(0).normal(0, 0.02, WORLD.shape)
-    found = calibrate(WORLD, SCOPE.project(WORLD) + noise, pixel_size=9.9, image_size=(656, 491))
+    seen = SCOPE.project(WORLD) + noise
+    found = calibrate(WORLD, seen, pixel_size=9.9, image_size=(656, 491))
+    np.testing.assert_allclose(
+        found.plane_residuals, found.microscope.back_project(seen) - WORLD, atol=1e-6
+    )
     table = found.to_frame()
     assert tuple(table.index) == found.parameters
     np.testing.assert_allclose(table["sigma"] ** 2, np.diag(found.covariance))
