@@ -34,8 +34,7 @@ class Settings:
         mostly more than 0.2 for accidental lattices.
     max_skew : float
         Deviation of the ratio of the steps of a lattice from 1, and of the cosine of their angle
-        from 0 or ½. Every second mark of every second row of a square lattice is closest to a
-        hexagonal one, with a ratio of 1.118 and a cosine of 0.447.
+        from 0. On a hexagonal lattice the cosine is ½.
     min_fill : float
         Fraction of the lattice points in the convex hull of the marks that have a mark. It is a
         fifth to a half for accidental lattices in photographs.
