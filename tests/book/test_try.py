@@ -11,6 +11,7 @@ import pytest
 from book_try_page import render_stack
 from playwright.sync_api import Browser, Page
 
+from compendium.experiments.chapter_2 import turned_camera
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian
 from microlib.membrane import SmallSlopeWarning, dimple_profile, elastic_modulus, modulus_std
@@ -139,6 +140,17 @@ def test_browser_step_response_equals_simulated_workstation(tools: Page) -> None
     # Relative to the largest value of an answer: it crosses zero.
     largest = np.abs(wanted).max(axis=1, keepdims=True)
     np.testing.assert_allclose(found / largest, wanted / largest, rtol=0, atol=1e-9)
+
+
+def test_browser_error_of_a_turned_camera_equals_library(tools: Page) -> None:
+    times = np.linspace(0, 2, 9)
+    for angle, rate in ((0, 2.0), (60, 0.7), (-35, 3.0), (100, 1.5)):
+        wanted = turned_camera([angle], rate, times)[angle]
+        found = tools.evaluate(
+            "([angle, rate, times]) => tryIt.turn.path(angle, rate, times)",
+            [angle, rate, times.tolist()],
+        )
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
 def test_browser_curvature_and_labels_equal_library(tools: Page) -> None:
