@@ -128,7 +128,7 @@ def test_each_view_shows_its_marks_and_residuals(views, photographs):
             assert (ax.get_xlim(), ax.get_ylim(), ax.get_aspect()) == ((0, 150), (90, 0), 1)
 
 
-def test_one_photograph_or_axes_show_one_view(views):
+def test_plot_with_given_axes_or_one_image_shows_one_view(views):
     found, result, images = views
     own, ax = pyplot.subplots()
     assert result.plot(ax, found=found) is own

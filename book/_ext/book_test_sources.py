@@ -24,14 +24,16 @@ def line_of(file: str, text: str) -> int:
     raise ValueError(f"text must stand in {file}, got {text!r}")
 
 
-def place_of_test(test: str, entry: str = "") -> tuple[str, str]:
-    """Return page and anchor of a test that is named as pytest does, or of an entry in its file.
+def page_of(file: str) -> str:
+    """Return the page that shows a test's file: ``tests/a/b.py`` is on ``_tests/a/b``."""
+    return "_" + file.removesuffix(".py")
 
-    ``tests/a/b.py`` is on the page ``_tests/a/b``.
-    """
+
+def place_of_test(test: str, entry: str = "") -> tuple[str, str]:
+    """Return page and anchor of a test that is named as pytest does, or of an entry in its file."""
     file, _, function = test.partition("::")
     text = entry or (f"def {function}(" if function else "")
-    return f"_{file.removesuffix('.py')}", f"line-{line_of(file, text)}"
+    return page_of(file), f"line-{line_of(file, text)}"
 
 
 def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
@@ -40,8 +42,7 @@ def show_sources(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
     formatter = HtmlFormatter(lineanchors="line", anchorlinenos=False)
     for file in sorted(files):
         body = highlight((ROOT / file).read_text("utf-8"), PythonLexer(), formatter)
-        page = f"_{file.removesuffix('.py')}"
-        yield page, {"title": file, "body": f"<h1>{file}</h1>{body}"}, "page.html"
+        yield page_of(file), {"title": file, "body": f"<h1>{file}</h1>{body}"}, "page.html"
 
 
 def setup(app: Sphinx) -> None:
