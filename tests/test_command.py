@@ -29,7 +29,7 @@ from microlib.calibration import calibrate, detect_squares
 from microlib.embryo import dimple_from_outline
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
-from tests.io.test_files import read_ply
+from tests.io.files import read_ply
 from tests.laws import unlike
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -1,43 +1,18 @@
-"""Files that the library writes, as other programs read them; images that it reads."""
+"""Files that the library writes, as other programs read them."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import re
 import stat
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
 
 from microlib import io
-
-
-def test_read_grey_converts_colors_to_luminance(tmp_path):
-    cv2.imwrite(str(tmp_path / "c.png"), np.full((5, 6, 3), (0, 0, 255), np.uint8))
-    red = np.full((5, 6, 3), (255, 0, 0), np.uint8)
-    tifffile.imwrite(tmp_path / "c.tif", red, photometric="rgb")
-    for name in ("c.png", "c.tif"):
-        image = io.read_grey(tmp_path / name)
-        assert image.shape == (5, 6)
-        assert (image == 76).all()  # 0.299 of 255: luma of pure red
-
-
-def read_ply(path: Path) -> dict[str, np.ndarray]:
-    """Return the vertices, their colors if there are any, and the triangles of a mesh."""
-    head, body = path.read_bytes().split(b"end_header\n", 1)
-    counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]
-    names = re.findall(rb"property uchar (red|green|blue)\n", head)
-    assert names in ([], [b"red", b"green", b"blue"])
-    kind = [("vertices", "<f4", 3), *([("colors", "u1", 3)] if names else [])]
-    table = np.frombuffer(body, kind, counts[0])
-    triangles = np.frombuffer(body[table.nbytes :], [("n", "u1"), ("i", "<i4", 3)])
-    assert len(triangles) == counts[1]
-    assert (triangles["n"] == 3).all()
-    return {name: table[name] for name in table.dtype.names} | {"faces": triangles["i"]}
+from tests.io.files import read_ply
 
 
 @pytest.fixture
@@ -48,8 +23,11 @@ def plane():
     return height
 
 
-def test_ply_faces_point_to_the_viewer(tmp_path, plane):
-    io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0)
+@pytest.mark.parametrize("colors", [None, "grey", "color"])
+def test_ply_faces_point_to_the_viewer_and_vertices_have_colors(tmp_path, plane, colors):
+    color = np.random.default_rng(0).integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    image = {None: None, "grey": color[..., 0], "color": color}[colors]
+    io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0, image=image)
     mesh = read_ply(tmp_path / "s.ply")
     assert (len(mesh["vertices"]), len(mesh["faces"])) == (34, 2 * (4 * 6 - 1))
     x, y, z = mesh["vertices"].T
@@ -58,20 +36,12 @@ def test_ply_faces_point_to_the_viewer(tmp_path, plane):
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     assert (normal[:, 2] > 0).all()  # faces look at the viewer
     assert 0.5 * normal[:, 2].sum() == pytest.approx(23 * 4.0)  # µm² seen from above
-
-
-@pytest.mark.parametrize("color", [False, True])
-def test_ply_vertices_have_the_colors_of_their_pixels(tmp_path, plane, color):
-    image = np.random.default_rng(0).integers(0, 256, (5, 7, 3)).astype(np.uint8)
-    image = image if color else image[..., 0]
-    io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0, image=image)
-    mesh = read_ply(tmp_path / "s.ply")
-    x, y, z = mesh["vertices"].T
-    np.testing.assert_allclose(z, 3.0 * x / 2.0 - 2.0 * -y / 2.0, atol=1e-5)
-    expected = image[(-y / 2).astype(int), (x / 2).astype(int)]
-    np.testing.assert_array_equal(mesh["colors"].T, expected.T if color else [expected] * 3)
-    with pytest.raises(ValueError, match="image must be uint8 of shape"):
-        io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0, image=image[:2])
+    if image is not None:
+        expected = np.broadcast_to(np.atleast_3d(image), (5, 7, 3))
+        expected = expected[(-y / 2).astype(int), (x / 2).astype(int)]
+        np.testing.assert_array_equal(mesh["colors"], expected)
+        with pytest.raises(ValueError, match="image must be uint8 of shape"):
+            io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0, image=image[:2])
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (2, 5, 3)], ids=["grey", "color"])

@@ -12,92 +12,81 @@ from microlib.io import read_frames
 Z = np.array([0.0, 10.0, 20.0, 31.0, 40.0, 50.0, 60.0, 70.0, 80.0])
 
 
-def stack() -> np.ndarray:
+@pytest.fixture(scope="module")
+def stack():
     texture = synthetic.mixed_texture((64, 80), np.random.default_rng(0))
     return synthetic.focal_stack(texture, np.full((64, 80), 42.0), Z, blur_rate=0.1)
 
 
-def labeled(unit: str = "µm", per_um: float = 1.0):
+@pytest.fixture
+def labeled(stack):
+    """Return what labels the stack in a unit of length."""
     xarray = pytest.importorskip("xarray")
-    at = {"z": Z, "y": 100 + 2.0 * np.arange(64), "x": 300 + 2.0 * np.arange(80)}
-    coords = {axis: (axis, values * per_um, {"units": unit}) for axis, values in at.items()}
-    return xarray.DataArray(stack(), coords, ("z", "y", "x"))
+
+    def label(unit="µm", per_um=1.0):
+        at = {"z": Z, "y": 100 + 2.0 * np.arange(64), "x": 300 + 2.0 * np.arange(80)}
+        coords = {axis: (axis, values * per_um, {"units": unit}) for axis, values in at.items()}
+        return xarray.DataArray(stack, coords, ("z", "y", "x"))
+
+    return label
 
 
-@pytest.mark.parametrize(("unit", "per_um"), [("µm", 1.0), ("nm", 1e3), ("mm", 1e-3)])
-def test_coordinates_give_pixel_size_positions_and_origin(unit, per_um):
-    reader = read_frames(labeled(unit, per_um))
+@pytest.mark.parametrize(
+    ("unit", "per_um", "order", "names"),
+    [
+        ("µm", 1.0, "zyx", {}),
+        ("nm", 1e3, "yxz", {}),
+        ("mm", 1e-3, "zxy", {}),
+        ("µm", 1.0, "xzy", {"x": "X", "y": "Y"}),
+    ],
+)
+def test_labeled_frames_have_pixel_size_positions_and_origin_in_any_order(
+    stack, labeled, unit, per_um, order, names
+):
+    reader = read_frames(labeled(unit, per_um).transpose(*order).rename(names))
     assert reader.pixel_size == pytest.approx(2.0)
     assert reader.positions == pytest.approx(Z)
     assert reader.origin == pytest.approx((300.0, 100.0))
+    np.testing.assert_array_equal(np.stack(list(reader)), stack)
 
 
-@pytest.mark.parametrize("blocks", [False, True])
-def test_depth_has_the_coordinates_and_chunks_of_its_frames(blocks):
+@pytest.mark.parametrize("order", [None, "zyx", "yxz"])
+def test_depth_has_the_coordinates_and_chunks_of_its_frames(stack, labeled, order):
     frames = labeled()
-    if blocks:
+    if order:
         pytest.importorskip("dask")
-        frames = frames.chunk({"y": 64, "x": 80})
+        frames = frames.chunk({"y": 64, "x": 80}).transpose(*order)
     back = depth_from_focus(frames).to_xarray()
-    assert bool(back["depth"].chunks) == blocks
+    assert bool(back["depth"].chunks) == bool(order)
     np.testing.assert_allclose(back["x"], frames["x"])
     np.testing.assert_allclose(back["y"], frames["y"])
     # Single precision: a thousandth of a µm is far above its rounding.
-    np.testing.assert_allclose(back["depth"], depth_from_focus(stack(), Z).depth, atol=1e-3)
+    np.testing.assert_allclose(back["depth"], depth_from_focus(stack, Z).depth, atol=1e-3)
     assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
     part = depth_from_focus(labeled(), region=(10, 20, 40, 30), reduce=2).to_xarray()
     np.testing.assert_allclose(part["x"], 300 + 2 * (10.5 + 2 * np.arange(20)))
     np.testing.assert_allclose(part["y"], 100 + 2 * (20.5 + 2 * np.arange(15)))
 
 
-@pytest.mark.parametrize("dims", ["yxz", "zxy", "xzy"])
-def test_dimensions_can_be_in_any_order(dims):
-    frames = labeled()
-    reader = read_frames(frames.transpose(*dims))
-    assert (reader.pixel_size, reader.origin) == (2.0, (300.0, 100.0))
-    assert reader.positions == pytest.approx(Z)
-    np.testing.assert_array_equal(np.stack(list(reader)), frames.to_numpy())
-
-
-def test_dimensions_of_dask_arrays_can_be_in_any_order():
-    pytest.importorskip("dask")
-    frames = labeled().isel(x=slice(64))
-    frames = frames.chunk({"y": 64, "x": 64}).transpose("y", "x", "z")
-    found = depth_from_focus(frames)
-    # Single precision: a thousandth of a µm is far above its rounding.
-    wanted = depth_from_focus(stack()[:, :, :64], Z).depth
-    np.testing.assert_allclose(np.asarray(found.depth), wanted, atol=1e-3)
-
-
-def test_names_of_dimensions_can_be_upper_case():
-    frames = labeled()
+def test_channel_and_time_select_labeled_frames(stack, labeled):
     with pytest.raises(ValueError, match="three dimensions or more, got y, x"):
-        read_frames(frames[0])
-    large = frames.rename(x="X", y="Y").transpose("Y", "X", "z")
-    np.testing.assert_array_equal(np.stack(list(read_frames(large))), frames.to_numpy())
-
-
-def test_channel_and_time_select_labeled_frames():
-    frames = labeled()
-    many = frames.expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
+        read_frames(labeled()[0])
+    many = labeled().expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
     many = many.transpose("y", "z", "channel", "x", "time")
     with pytest.raises(ValueError, match=r"has the axes Z=9, C=2, T=3 "):
         read_frames(many)
     reader = read_frames(many, channel=1, time=2)
     assert reader.positions == pytest.approx(Z)
-    np.testing.assert_allclose(np.stack(list(reader)), frames.to_numpy() + 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.stack(list(reader)), stack + 1.0, rtol=1e-6)
 
 
-def test_labeled_pixels_that_are_not_square_give_a_warning():
-    frames = labeled()
-    wide = frames.assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
+def test_unusable_coordinates_are_no_scale(labeled):
+    """Pixels that are not square, numbers of pixels, another unit and times."""
+    wide = labeled().assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
     with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
         assert read_frames(wide).pixel_size is None
-
-
-def test_coordinates_that_number_pixels_are_no_scale():
-    frames = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
-    assert read_frames(frames).pixel_size is None
-    assert read_frames(frames.assign_coords(z=("z", Z, {"units": "V"}))).positions is None
+    numbered = labeled().drop_vars(["x", "y"]).assign_coords(x=np.arange(80), y=np.arange(64))
+    assert read_frames(numbered).pixel_size is None
+    assert read_frames(numbered.assign_coords(z=("z", Z, {"units": "V"}))).positions is None
     with pytest.raises(ValueError, match="must differ in focus"):
-        depth_from_focus(frames.rename(z="time"))
+        depth_from_focus(numbered.rename(z="time"))

@@ -1,0 +1,171 @@
+"""Writers of every kind of file, and a reader of meshes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+
+GREY = {"photometric": "minisblack"}
+#: Name and options of tifffile for a stack with its axis in the metadata of each kind.
+TIFFS: dict[str, tuple[str, dict]] = {
+    "ImageJ": ("a.tif", {"imagej": True}),
+    "OME": ("a.ome.tif", GREY),
+    "tifffile": ("a.tif", GREY),
+}
+
+
+class Lazy:
+    """What zarr and dask arrays have in common; counts what is loaded."""
+
+    def __init__(self, values: NDArray) -> None:
+        self._values = values
+        self.shape = values.shape
+        self.loaded: list[int] = []
+
+    def __getitem__(self, key: int) -> NDArray:
+        self.loaded.append(key)
+        return self._values[key]
+
+
+def one_buffer(frames: NDArray) -> Iterator[NDArray]:
+    """Yield frames as a camera may, each over the one before."""
+    buffer = np.empty_like(frames[0])
+    for frame in frames:
+        buffer[:] = frame
+        yield buffer
+
+
+def content(path: Path, values: bytes) -> Path:
+    path.write_bytes(values)
+    return path
+
+
+def npy(path: Path, frames: NDArray) -> Path:
+    np.save(path, frames)
+    return path
+
+
+def picture(path: Path, image: NDArray) -> Path:
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+def pictures(folder: Path, frames: NDArray) -> Path:
+    """Write a PNG for each frame, beside files that are none; 2 comes before 10."""
+    folder.mkdir()
+    for k, frame in enumerate(frames):
+        picture(folder / f"frame {k}.png", frame)
+    (folder / "notes.txt").write_text("not a frame")
+    (folder / ".hidden.png").write_text("not a frame either")
+    return folder
+
+
+def tiff(path: Path, frames: NDArray, **options: object) -> Path:
+    tifffile.imwrite(path, frames, **options)
+    return path
+
+
+def tiff_of(kind: str, folder: Path, frames: NDArray, axes: str = "ZYX", **options: object) -> Path:
+    name, own = TIFFS[kind]
+    return tiff(folder / name, frames, metadata={"axes": axes}, **own | options)
+
+
+def pages(path: Path, frames: NDArray, **options: object) -> Path:
+    """Append page after page, without metadata."""
+    for frame in frames:
+        tiff(path, frame, append=True, metadata=None, **options)
+    return path
+
+
+def by_pillow(path: Path, frames: NDArray, **options: object) -> Path:
+    """Write a file of several pages with Pillow, which has other codecs than tifffile."""
+    first, *others = (Image.fromarray(frame) for frame in frames)
+    first.save(path, save_all=True, append_images=others, **options)
+    return path
+
+
+def overwrite_tags(path: Path, **values: int) -> Path:
+    with tifffile.TiffFile(path, mode="r+") as file:
+        for page in file.pages:
+            for name, value in values.items():
+                page.tags[name].overwrite(value)
+    return path
+
+
+def packed(path: Path, frames: NDArray[np.uint16], bits: int) -> Path:
+    """Write frames as cameras do that put three bytes where two numbers of 12 bits are."""
+    count, rows, columns = frames.shape
+    octets = frames.astype(">u2").view(np.uint8).reshape(count, rows, columns, 2)
+    numbers = np.unpackbits(octets, axis=3)[..., -bits:]
+    pages(path, np.packbits(numbers.reshape(count, rows, -1), axis=2), **GREY)
+    return overwrite_tags(path, BitsPerSample=bits, ImageWidth=columns)
+
+
+def ome_text(path: Path) -> str:
+    with tifffile.TiffFile(path) as file:
+        assert file.ome_metadata
+        return file.ome_metadata
+
+
+def set_of_ome(folder: Path, frames: NDArray) -> Path:
+    """Write a file for each frame of one OME-TIFF, 3.5 µm apart, and return the folder."""
+    folder.mkdir()
+    whole = tiff(folder / "whole.ome.tif", frames, metadata={"axes": "ZYX", "PhysicalSizeZ": 3.5})
+    blocks = "".join(
+        f'<TiffData FirstZ="{k}" IFD="0" PlaneCount="1"><UUID FileName="scan_z{k}.ome.tif">'
+        f"urn:uuid:{k:032}</UUID></TiffData>"
+        for k in range(len(frames))
+    )
+    text, count = re.subn("<TiffData .*?/>", blocks, ome_text(whole))
+    assert count == 1
+    whole.unlink()
+    for k, frame in enumerate(frames):
+        own = re.sub(' UUID="[^"]*"', f' UUID="urn:uuid:{k:032}"', text)
+        tiff(folder / f"scan_z{k}.ome.tif", frame, description=own.encode(), metadata=None)
+    return folder
+
+
+def ome_zarr(path: Path, frames: NDArray, version: str, axes: str = "tczyx") -> Path:
+    """Write an image in two sizes with the layout of the standard, without a package for it."""
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(str(path), mode="w", zarr_format=2 if version == "0.4" else 3)
+    units = {"x": "nanometer", "y": "micrometer", "z": "micrometer"}
+    kinds = {"t": "time", "c": "channel"}
+    about = [{"name": a, "type": kinds.get(a, "space"), "unit": units.get(a)} for a in axes]
+    steps = {"x": 650.0, "y": 0.65, "z": 2.5}
+    sizes = []
+    for k, level in enumerate((frames, frames[..., ::2, ::2])):
+        group.create_array(str(k), shape=level.shape, dtype=level.dtype)[:] = level
+        half = {"x": 2**k, "y": 2**k}
+        scale = [0.5 * steps.get(a, 1.0) * half.get(a, 1) for a in axes]
+        change = [{"type": "scale", "scale": scale}]
+        sizes.append({"path": str(k), "coordinateTransformations": change})
+    both = [{"type": "scale", "scale": [2.0] * len(axes)}]
+    image = {"axes": about, "datasets": sizes, "coordinateTransformations": both}
+    if version == "0.4":
+        group.attrs["multiscales"] = [image | {"version": version}]
+    else:
+        group.attrs["ome"] = {"version": version, "multiscales": [image]}
+    return path
+
+
+def read_ply(path: Path) -> dict[str, np.ndarray]:
+    """Return the vertices, their colors if there are any, and the triangles of a mesh."""
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    counts = [int(line.split()[-1]) for line in head.splitlines() if line.startswith(b"element")]
+    names = re.findall(rb"property uchar (red|green|blue)\n", head)
+    assert names in ([], [b"red", b"green", b"blue"])
+    kind = [("vertices", "<f4", 3), *([("colors", "u1", 3)] if names else [])]
+    table = np.frombuffer(body, kind, counts[0])
+    triangles = np.frombuffer(body[table.nbytes :], [("n", "u1"), ("i", "<i4", 3)])
+    assert len(triangles) == counts[1]
+    assert (triangles["n"] == 3).all()
+    return {name: table[name] for name in table.dtype.names} | {"faces": triangles["i"]}
