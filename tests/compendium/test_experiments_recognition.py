@@ -1,37 +1,28 @@
 """Rendered parts have their true geometry, and descriptions do not depend on the pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from compendium.experiments import recognition
 from compendium.experiments.recognition import PARTS, PIXEL, RADIUS, Pose
-from microlib.curvature import surface_curvature
 
 POSES = {"flat": Pose(), "tilted": Pose(turn=0.4, tilt=0.25, towards=1.1, scale=1.1, shift=(2, -1))}
 
 
 @pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
-def test_rendered_ball_has_true_curvature_and_height_in_every_pose(pose):
+def test_rendered_ball_has_its_true_height_in_every_pose(pose):
     height, _ = recognition.surface(PARTS["solder ball"], pose)
     radius = RADIUS * pose.scale
     # The middle of the ball is one radius above the ground, along its normal.
     lean = np.array([np.cos(pose.towards), np.sin(pose.towards)])
     middle = radius * np.array([*(np.sin(pose.tilt) * lean), np.cos(pose.tilt)])
     y, x = np.indices(height.shape) - (recognition.SIDE - 1) / 2
-    away = (PIXEL * (x - pose.shift[0]) - middle[0]) ** 2 + (
-        PIXEL * (y - pose.shift[1]) - middle[1]
-    ) ** 2
+    across, down = PIXEL * (x - pose.shift[0]), PIXEL * (y - pose.shift[1])
+    away = (across - middle[0]) ** 2 + (down - middle[1]) ** 2
     on = away < (0.6 * radius) ** 2
     # The rays stop 0.05 / 2¹⁰ of the radius above the surface.
-    np.testing.assert_allclose(
-        height[on], (middle[2] + np.sqrt(np.maximum(radius**2 - away, 0)))[on], atol=0.01
-    )
-    bend = surface_curvature(height, PIXEL, size=7)
-    top = away < (0.3 * radius) ** 2
-    # Windows of 13 px smooth the ball, which is curved the more the steeper it is: by 4 %.
-    np.testing.assert_allclose(bend.mean[top], -1 / radius, rtol=0.06)
+    wanted = middle[2] + np.sqrt(radius**2 - away[on])
+    np.testing.assert_allclose(height[on], wanted, atol=0.01)
 
 
 def test_a_description_does_not_depend_on_direction_and_unit_of_length():
@@ -54,9 +45,8 @@ def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map():
     labels[:, 8] = 0  # not known
     mean = np.where(labels == 1, -0.5, 0.0)
     mean[labels == 0] = np.nan
-    found = np.split(
-        recognition.describe(labels, mean), np.cumsum(list(recognition.GROUPS.values()))[:-1]
-    )
+    ends = np.cumsum(list(recognition.GROUPS.values()))
+    found = np.split(recognition.describe(labels, mean), ends[:-1])
     first, plane = (recognition.TYPES.index(kind) for kind in (1, 5))
     assert found[0][[first, plane]] == pytest.approx([12 / 48, 36 / 48])
     assert np.expm1(found[1][[first, plane]]) == pytest.approx([2, 1])

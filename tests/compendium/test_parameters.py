@@ -1,10 +1,8 @@
 """A reader's text becomes a value of the parameter's type, or one line says why it cannot."""
 
-from __future__ import annotations
-
 import pytest
 
-from compendium.parameters import describe, read_values
+from compendium.parameters import read_values
 from tests.compendium.test_run import write_notebook
 
 CELL = """record = ""  # not used here
@@ -31,14 +29,6 @@ def notebook(tmp_path, monkeypatch):
     return tmp_path / "project" / "notebooks" / "07_guide.ipynb"
 
 
-def test_table_of_parameters_has_default_bound_and_meaning():
-    table = describe("07_guide_embryo")
-    assert "record" not in table.index
-    default, accepted, meaning = table.loc["force"]
-    assert (default, accepted, meaning) == ("None", "a finite number > 0 or None", "µN")
-    assert table.loc["poisson_ratio", "default"] == "0.5"
-
-
 @pytest.mark.parametrize(
     ("name", "text", "value"),
     [
@@ -49,7 +39,6 @@ def test_table_of_parameters_has_default_bound_and_meaning():
         ("radius", "None", None),
         ("record", "null", "null"),
         ("stack", "demo", "demo"),
-        ("stack", "*.png", "*.png"),
         ("stack", "a.png", "a.png"),
     ],
 )
@@ -65,11 +54,9 @@ def test_text_is_converted_to_type_of_parameter(notebook, name, text, value):
         ("spacing", "1e1x", "spacing must be a finite number ≠ 0, got 1e1x"),
         ("size", "-1", "size must be a finite number > 0, got -1"),
         ("spread", "-1e-9", "spread must be a finite number ≥ 0, got -1e-9"),
-        ("start", "nan", "start must be a finite number, got nan"),
         ("seed", "1.5", "seed must be a whole number, got 1.5"),
         ("radius", "wide", "radius must be a finite number > 0 or None, got wide"),
         ("box", "[1,2,3]", r"box must be 4 numbers in brackets, such as \[30, 40, 40, 40\], got "),
-        ("box", "[1,2,3,4.5]", "box must be"),
         ("targets", "[[40, -30], [1]]", "targets must be lists of 2 numbers in brackets, such as "),
         ("stack", "mine.tif", "stack must name a file, got mine.tif: no such file"),
         ("out", "a.png", "out must be a folder that can be written to, got a.png: File exists"),

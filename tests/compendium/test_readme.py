@@ -1,7 +1,5 @@
 """The commands that the README and the page Start print give the truth of their inputs."""
 
-from __future__ import annotations
-
 import re
 import shlex
 
@@ -15,15 +13,13 @@ from compendium.guides import FOLDER, manifest
 from microlib.__main__ import main
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", README, flags=re.M)
+COMMAND = r"^microlib (depth|calibrate|track|modulus) (.*)$"
+COMMANDS = re.findall(COMMAND, README, re.M)
 
 
 def test_start_page_has_commands_of_readme():
-    page = (ROOT / "book" / "start.md").read_text(encoding="utf-8")
     assert len(COMMANDS) == 4
-    assert (
-        re.findall(r"^microlib (depth|calibrate|track|modulus) (.*)$", page, flags=re.M) == COMMANDS
-    )
+    assert re.findall(COMMAND, (ROOT / "book" / "start.md").read_text("utf-8"), re.M) == COMMANDS
 
 
 @pytest.mark.parametrize(("task", "text"), COMMANDS, ids=lambda value: value.split()[0])
@@ -36,13 +32,11 @@ def test_readme_command_reproduces_truth(tmp_path, monkeypatch, capsys, task, te
         # µm; where it starts is not given.
         assert np.nanmedian(np.abs(off - np.nanmedian(off))) < 1.0
     elif task == "calibrate":
-        found = float(re.search(r"misfit (?:of )?([\d.]+)", capsys.readouterr().out)[1])
-        assert found < 2
+        assert float(re.search(r"misfit (?:of )?([\d.]+)", capsys.readouterr().out)[1]) < 2
     elif task == "track":
-        track = pd.read_csv("track.csv")
-        true = pd.read_csv(FOLDER / "frames_path.csv")
-        off = track[["center_x", "center_y"]].to_numpy() - true[["x_px", "y_px"]].to_numpy()
-        assert np.abs(off).max() < 0.1
+        found = pd.read_csv("track.csv")[["center_x", "center_y"]]
+        true = pd.read_csv(FOLDER / "frames_path.csv")[["x_px", "y_px"]]
+        np.testing.assert_allclose(found, true, atol=0.1)
     else:
         values = pd.read_csv("modulus.csv", index_col="quantity")["value"]
         true = manifest()["outline.csv"]["truth"]["modulus_MPa"]

@@ -3,8 +3,6 @@
 `.ci/hostile.py` kills kernels and runs, fills the disk, and has settings of a user in the way.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -51,15 +49,27 @@ def project(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "ROOT", tmp_path)
     monkeypatch.setattr(run, "BUILD", tmp_path / "build")
     monkeypatch.setattr(os, "environ", dict(os.environ))
+    monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def start(monkeypatch):
+    """Start the runner with some arguments; return the exit status."""
+
+    def start(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["run", *arguments])
+        try:
+            return run.main()
+        except SystemExit as end:
+            return end.code
+
+    return start
 
 
 def test_changed_file_changes_cache_key(project):
     keys = [run.key_of("01_first")]
-    for file in (
-        "notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py",
-        "data/thesis/c.toml",
-    ):  # fmt: skip
+    for file in ("notebooks/01_first.ipynb", "microlib/focus/_a.py", "compendium/b.py"):
         (project / file).write_text("two")
         keys.append(run.key_of("01_first"))
         assert keys[-1] not in keys[:-1], file
@@ -68,30 +78,31 @@ def test_changed_file_changes_cache_key(project):
     (project / "build" / "claims" / "01_first.json").write_text("of another")
     assert run.key_of("01_first") == keys[-1]
     assert run.key_of("06_last") != last
+    (project / "data" / "thesis" / "c.toml").write_text("two")
+    assert run.key_of("01_first") != keys[-1]
 
 
-def statuses(project: Path) -> dict[str, dict]:
-    files = (project / "build" / "status").glob("*.json")
-    return {path.stem: json.loads(path.read_text()) for path in files}
+def injected(path: Path) -> nbformat.NotebookNode:
+    """Return the cell with the parameters of a run."""
+    cells = nbformat.read(path, as_version=4).cells
+    (found,) = (c for c in cells if "injected-parameters" in c.metadata.get("tags", []))
+    return found
 
 
-def test_only_changed_or_missing_notebooks_run_again(project, monkeypatch, capsys):
+def test_only_changed_or_missing_notebooks_run_again(project, start, capsys):
     figure = "import os\n(pathlib.Path(os.environ['MICROLIB_FIGURES']) / 'fig.csv').touch()"
     write_notebook(project, "01_first", CHECKS + figure)
-    monkeypatch.setattr(sys, "argv", ["run"])
-    assert run.main() == 0
-    assert statuses(project)["01_first"].items() >= {"checks": 1, "failed": ""}.items()
-    done = nbformat.read(project / "build" / "notebooks" / "01_first.ipynb", as_version=4)
-    injected = [c for c in done.cells if "injected-parameters" in c.metadata.get("tags", [])]
-    assert [c.metadata.tags for c in injected] == [["injected-parameters", "remove-cell"]]
+    assert start() == 0
+    status = json.loads((project / "build" / "status" / "01_first.json").read_text())
+    assert status.items() >= {"checks": 1, "failed": ""}.items()
+    tags = injected(project / "build" / "notebooks" / "01_first.ipynb").metadata.tags
+    assert tags == ["injected-parameters", "remove-cell"]
     claims = json.loads((project / "build" / "claims" / "01_first.json").read_text())
     assert claims[0]["notebook"] == "01_first"  # as `ledger.open_record` takes it from the path
-    assert "papermill" not in {*done.metadata, *(k for c in done.cells for k in c.metadata)}
-    assert run.main() == 0
+    assert start() == 0
     assert "01_first: up to date" in capsys.readouterr().out
     for file, damage in (
         ("build/status/01_first.json", "{"),
-        ("build/status/01_first.json", None),
         ("build/notebooks/01_first.ipynb", None),
         ("build/figures/fig.csv", None),
         ("notebooks/01_first.ipynb", (project / "notebooks/01_first.ipynb").read_text() + " "),
@@ -103,33 +114,22 @@ def test_only_changed_or_missing_notebooks_run_again(project, monkeypatch, capsy
         (project / file).write_text(before)
 
 
-def test_failed_notebook_is_listed_and_others_run(project, monkeypatch, capsys):
+def test_failed_notebook_is_listed_and_others_run(project, start, capsys):
     """It is named with cell and message; what it computed before stays, and it runs again."""
     write_notebook(project, "08_first", CHECKS + "1 / 0")
     write_notebook(project, "02_second", CHECKS)
-    monkeypatch.setattr(sys, "argv", ["run"])
-    assert run.main() == 1
-    said = capsys.readouterr()
+    assert start() == 1
     failure = "08_first: FAILED in cell source: ZeroDivisionError: division by zero"
-    assert said.err.endswith(f"These notebooks failed:\n  {failure}\n")
-    assert {name for name, one in statuses(project).items() if not one["failed"]} == {
-        "01_first", "02_second", "06_last",
-    }  # fmt: skip
+    assert capsys.readouterr().err.endswith(f"These notebooks failed:\n  {failure}\n")
+    assert [*run.failures()] == ["08_first"]
     assert json.loads((project / "build" / "claims" / "08_first.json").read_text())
     page = nbformat.read(project / "build" / "notebooks" / "08_first.ipynb", as_version=4)
-    assert [cell.id for cell in page.cells if cell.cell_type == "code"] == [
-        "other",
-        "parameters",
-        "injected-parameters",
-        "source",
-    ]
-    monkeypatch.setattr(sys, "argv", ["run", "--failures"])
-    assert run.main() == 1
+    assert [c.id for c in page.cells] == ["other", "parameters", "injected-parameters", "source"]
+    assert start("--failures") == 1
     assert failure in capsys.readouterr().err
     assert not run.up_to_date("08_first", run.key_of("08_first"))
     # A run of another notebook says that this failure is older.
-    monkeypatch.setattr(sys, "argv", ["run", "02"])
-    assert run.main() == 1
+    assert start("02") == 1
     assert "08_first (earlier, 20" in capsys.readouterr().err
 
 
@@ -151,11 +151,9 @@ def test_second_run_waits_for_lock(project):
     code = "import sys, pathlib; from compendium import run; "
     code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
     code += "with run.build_lock(): print('holds', flush=True)"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with run.build_lock():
-        second = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
+        second = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, **pipes)
         assert second.stderr
         assert second.stderr.readline().startswith("Another run is at work in ")
     assert second.communicate()[0] == "holds\n"
@@ -170,33 +168,25 @@ def test_second_run_waits_for_lock(project):
         (["01", "-p", "width"], 2, "argument -p: expected 2 arguments; --help lists the options"),
     ],
 )
-def test_wrong_arguments_give_one_line(project, monkeypatch, capsys, arguments, status, message):
+def test_wrong_arguments_give_one_line(
+    project, start, monkeypatch, capsys, arguments, status, message
+):
     write_notebook(project, "01_first", "print(width)", 'record = ""\nwidth = 1.0')
-    monkeypatch.chdir(project)
-    (project / "file").touch()
-    monkeypatch.setattr(sys, "argv", ["run", *arguments])
     monkeypatch.setattr(run, "execute", lambda *_: pytest.fail("a kernel was started"))
-    try:
-        returned = run.main()
-    except SystemExit as end:
-        returned = end.code
-    assert returned == status
+    assert start(*arguments) == status
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert said.err.startswith(message)
 
 
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
-def test_run_on_own_data_writes_to_its_own_folder(project, monkeypatch, source, status):
+def test_run_on_own_data_writes_to_its_own_folder(project, start, source, status):
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
-    monkeypatch.chdir(project)
-    arguments = ["01", "-p", "record", "2.50", "-p", "width", "-5e1", "--output", "mine"]
-    monkeypatch.setattr(sys, "argv", ["run", *arguments])
-    assert run.main() == status
-    done = nbformat.read(project / "mine" / "01_first.ipynb", as_version=4)
-    injected = next(c for c in done.cells if "injected-parameters" in c.metadata.get("tags", []))
-    assert 'record = "2.50"' in injected.source
-    assert "width = -50.0" in injected.source
+    own = ("-p", "record", "2.50", "-p", "width", "-5e1")
+    assert start("01", *own, "--output", "mine") == status
+    given = injected(project / "mine" / "01_first.ipynb").source
+    assert 'record = "2.50"' in given
+    assert "width = -50.0" in given
     files = {path.name for path in (project / "mine").iterdir()}
     assert files == {"01_first.ipynb", "01_first.log.txt"}
     assert not (project / "build" / "status").exists()

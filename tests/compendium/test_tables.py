@@ -1,7 +1,5 @@
 """The tables as printed, against their shape and cells typed from the thesis."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -38,7 +36,6 @@ def test_table_shows_printed_and_found_numbers(name, monkeypatch):
             ledger.check(one.id, one.value + k, 0.25)
     rows, columns, at, across, printed = PRINTED[name]
     html = as_printed(name).data
-    assert html.count('scope="col"') == columns
     table = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr><th .*?</tr>", html)]
     assert [len(row) for row in table] == [columns] * rows
     texts = [[unescape(re.sub("<.*?>", " ", cell)) for cell in row] for row in table]
@@ -47,12 +44,8 @@ def test_table_shows_printed_and_found_numbers(name, monkeypatch):
     found = ledger.summary(f"{name}/")["recomputed"]
     expected = []
     for one in entries:
-        parts = [
-            *(one.printed or one.limit).split(),
-            SIGNS[one.verdict],
-            *found.get(one.id, "").split(),
-        ]
-        expected.append([*parts, ledger.STAR] if one.star else parts)
+        text = f"{one.printed or one.limit} {SIGNS[one.verdict]} {found.get(one.id, '')}"
+        expected.append(f"{text} {ledger.STAR if one.star else ''}".split())
     cells = [re.sub("^[a-z ]+", "", text).split() for row in texts for text in row]
     assert sorted(cells) == sorted(expected)
 
@@ -69,8 +62,7 @@ def test_texts_of_claims_are_escaped():
     """Neither in HTML nor in a script, which a text may not end."""
     wrong = "</script><b title='x'>\"&"
     claim = replace(ledger.claim("table-5.6/E"), what=wrong)
-    html = verdict_link(claim, "agrees", up="../")
-    assert ET.fromstring(html).get("title") == f"{wrong}: {claim.label}"
-    text = script_json({"unit": wrong})
-    assert "<" not in text
-    assert json.loads(text) == {"unit": wrong}
+    link = ET.fromstring(verdict_link(claim, "agrees", up="../"))
+    assert link.get("title") == f"{wrong}: {claim.label}"
+    assert "<" not in script_json({"unit": wrong})
+    assert json.loads(script_json({"unit": wrong})) == {"unit": wrong}

@@ -1,0 +1,110 @@
+"""Experiments of chapters 2, 3, 4 and 6 and of the page on uncertainty, against known truth."""
+
+import numpy as np
+import pytest
+
+from compendium.experiments import (
+    chapter_2_tracking,
+    chapter_3,
+    chapter_4,
+    chapter_6,
+    chapter_6_force,
+    uncertainty,
+)
+from compendium.experiments.disc_blur import disc_blur
+from compendium.ledger import Record
+from microlib.membrane import viscoelastic_force
+
+
+@pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
+def test_order_of_convergence_of_known_sequence_is_found(order):
+    # From 3 px on each error is a power of the one before, over 8 times its scale.
+    errors = [3.0]
+    while errors[-1] >= 0.1:
+        errors.append(errors[-1] * (errors[-1] / 4) ** (order - 1) * 0.5)
+    assert len(errors) > 2
+    found = chapter_2_tracking.order_of_convergence(np.array([*errors, 1e-3, 1e-3]))
+    assert found == pytest.approx(order)
+
+
+def test_depth_errors_are_in_frame_spacings():
+    truth = np.full((40, 40), 30.0)
+    frames, positions = np.zeros((9, 40, 40)), 10.0 * np.arange(9)
+    texture = np.random.default_rng(0).uniform(0, 255, (40, 40))
+    for k, position in enumerate(positions):  # sharpest at 30 µm
+        frames[k] = 128 + (texture - 128) * np.exp(-(((position - 30) / 20) ** 2))
+    _, table = chapter_3.depths(frames, positions, truth + 5.0, {"sml": {"measure": "sml"}})
+    assert table.loc["sml", "RMS error (frame spacings)"] == pytest.approx(0.5, abs=0.01)
+    assert table.loc["sml", "beyond one spacing (%)"] == 0
+
+
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+def test_modulus_exponents_equal_formula():
+    found = chapter_4.exponents()
+    known = {"force": 1, "dimple depth": -3, "thickness": -1, "poisson ratio": -1}
+    assert found[list(known)].to_dict() == pytest.approx(known, abs=1e-5)
+    # E grows as a² times a function of c/a alone.
+    assert found["dimple radius"] + found["probe half width"] == pytest.approx(2, abs=1e-4)
+
+
+def test_values_of_sentences_follow_from_printed_numbers():
+    assert chapter_6.of_printed_numbers() == pytest.approx(
+        {
+            "section-4.1/small-slopes": 121.22 / 246.95,
+            "section-5.4/settles-in-a-second": 0.80,
+            # In px: 0.95, 1.24, 0.77 at 1X; 0.95, 1.01, 0.72 at 4X.
+            "section-5.4/tracked-accurately": 4 / 6,
+            "section-6/precise-and-accurate": 1.12,
+        }
+    )
+
+
+def test_values_of_sentences_follow_from_records():
+    records = {"5.5/ridge-thesis": Record("5.5/ridge-thesis", 10.0, 10.0, 10.0, "µm", "result", 1)}
+    found = chapter_6.of_records(records)
+    assert found == pytest.approx({"section-6/reconstruction-synthetic": 10 / 25})
+
+
+@pytest.mark.parametrize("std", [0.05, 0.2, 1.0])
+def test_power_equals_share_of_detected_simulated_differences(std):
+    first, second = np.random.default_rng(1).normal(0, std, (2, 100_000))
+    differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
+    # Four standard errors of a share of 100 000.
+    assert float(chapter_6.power(std)) == pytest.approx(differ.mean(), abs=0.0065)
+
+
+def test_true_force_follows_viscoelastic_law():
+    time = np.array([0.0, 1.0, 2.0, 5.0, 8.0, 9.0, 10.0])  # with every turn
+    law = {
+        "prony_coefficients": [chapter_6_force.SHARE],
+        "relaxation_times": [chapter_6_force.RELAXATION_TIME],
+    }
+    wanted = viscoelastic_force(time, chapter_6_force.elastic_push(time), **law)
+    # Turns that fall within a step of 0.02 s cost 0.01 of the rate.
+    np.testing.assert_allclose(chapter_6_force.true_force(time), wanted, atol=0.05)
+
+
+def test_coverage_of_normal_errors_is_the_level_and_ignores_missing_heights():
+    error = np.random.default_rng(0).normal(0, 3.0, 40_000)
+    std = np.full(error.shape, 3.0)
+    found = uncertainty.coverage(np.r_[error, np.full(4000, np.nan)], np.r_[std, std[:4000]])
+    np.testing.assert_allclose(found, found.index, atol=0.01)  # four binomial standard errors
+
+
+@pytest.mark.parametrize("radius", [4.0, 7.3])
+def test_disc_blur_keeps_the_sum_and_has_the_variance_of_a_disc(radius):
+    point = np.zeros((41, 41), np.float32)
+    point[20, 20] = 1.0
+    blurred = disc_blur(point, radius)
+    x = np.arange(41.0) - 20
+    assert blurred.sum() == pytest.approx(1, abs=1e-5)
+    # A uniform disc has the variance r²/4 along each axis, and a pixel adds 1/12.
+    assert (blurred.sum(axis=0) * x**2).sum() == pytest.approx(radius**2 / 4 + 1 / 12, rel=0.01)
+
+
+def test_slope_is_sharpest_where_its_height_is_that_of_the_frame():
+    name, height, stack = next(uncertainty.focal_stacks(1))
+    assert name == "slope"
+    for k in (8, 12):
+        contrast = np.abs(np.diff(stack[k].astype(float), axis=1)).mean(axis=0)
+        assert abs(height[80, contrast.argmax()] - k) < 1.0
