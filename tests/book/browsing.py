@@ -1,7 +1,5 @@
 """What the tests ask of a page: that it opens whole, and that nobody is kept out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from axe_playwright_python.sync_playwright import Axe

@@ -1,7 +1,5 @@
 """The browser that opens the book."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

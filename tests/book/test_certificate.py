@@ -1,7 +1,5 @@
 """What the build says of itself can be checked without its code."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figure of the front page: its numbers, its use by keyboard on a phone, without scripts."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

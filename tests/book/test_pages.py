@@ -3,8 +3,6 @@
 Each is opened once and asked everything: drawing formulas takes longer than all the questions.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -53,12 +51,8 @@ def formulas(page: Page) -> list[tuple[str, float, float]]:
 def opens_to_everyone(page: Page, name: str) -> None:
     assert hindrances(page, colors=name in COLORED) == [], name
     if name in DARK:
-        page.evaluate(
-            """() => { // colors change gradually
-                document.documentElement.dataset.theme = "dark";
-                return Promise.all(document.getAnimations().map(one => one.finished));
-            }"""
-        )
+        page.evaluate("document.documentElement.dataset.theme = 'dark'")
+        page.evaluate("Promise.all(document.getAnimations().map(one => one.finished))")
         assert hindrances(page, others=False) == [], f"{name}, dark"
 
 

@@ -1,7 +1,5 @@
 """The PDF of the book: whole, with links that lead somewhere, and with page numbers."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -28,10 +26,8 @@ def test_pdf_has_all_pages_and_no_dead_link(html: Path) -> None:
 def test_pdf_of_few_pages_has_outline_and_page_numbers(
     html: Path, tmp_path: Path, browser: Browser
 ) -> None:
-    target = tmp_path / "few.pdf"
-    make_pdf(browser, html, FEW, target)
-    data = target.read_bytes()
-    assert data.startswith(b"%PDF")
+    make_pdf(browser, html, FEW, tmp_path / "few.pdf")
+    data = (tmp_path / "few.pdf").read_bytes()
     assert data.count(b"/Type /Page\n") >= len(FEW)
     assert data.count(b"/Subtype /Link") > 40  # between errata and claims
     assert b"/Outlines" in data

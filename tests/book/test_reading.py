@@ -1,7 +1,5 @@
 """Everything leads on: claims, errata, badges, numbers, links; and nothing is cut on paper."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter
@@ -102,7 +100,10 @@ def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
         page.goto((html / "search.html").as_uri() + f"?q={query}")
         page.wait_for_selector("ul.search li a")
         assert page.locator("ul.search li a").first.inner_text().startswith(first)
-        page.get_by_text("finished").wait_for()
+        done = "finished|did not match"
+        page.wait_for_function(
+            f"/{done}/.test(document.querySelector('#search-results').textContent)"
+        )
         assert page.get_by_text("did not match any").locator("visible=true").count() == 0
 
 
@@ -132,6 +133,17 @@ def test_anchor_is_scrolled_into_view_on_dark_phone(browser: Browser, html: Path
     assert 0 <= top < 300
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"
     page.close()
+
+
+def test_print_view_has_whole_code_and_no_navigation(page: Page, html: Path) -> None:
+    open_page(page, html / CHAPTER)
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 650, "height": 900})  # A4 within its margins
+    cut = "all => all.filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent)"
+    assert page.locator("pre:visible").count() > 10
+    assert page.locator("pre:visible").evaluate_all(cut) == []
+    hidden = page.locator(".bd-sidebar-primary, .prev-next-footer, details.hide summary")
+    assert hidden.locator("visible=true").count() == 0
 
 
 def test_text_lines_do_not_begin_with_percent_sign() -> None:

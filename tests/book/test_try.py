@@ -1,7 +1,5 @@
 """The page "Try it": its formulas are those of the library, and everyone can use it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path
