@@ -98,6 +98,7 @@ def resolve(name: str) -> Callable:
     return value
 
 
+@cache
 def tables() -> dict[str, Row | TestedBy]:
     """Return the rows of all packages; a package without a table is missed by its names."""
     found: dict[str, Row | TestedBy] = {}
@@ -296,14 +297,10 @@ def laws_of(table: dict[str, Row | TestedBy]) -> list[Any]:
 
 
 def invoke(name: str, row: Row, given: dict[str, Any]) -> Any:
-    """Call a public function, or a method of the argument `self`."""
-    rest = {key: value for key, value in given.items() if key != "self"}
-    call = row.call or resolve(name)
-    if "self" in given and row.call is None:
-        call = getattr(given["self"], name.rsplit(".", 1)[1])
+    """Call a public function, a method with the argument `self`, or what a row has for it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
-        return call(**rest)
+        return (row.call or resolve(name))(**given)
 
 
 @cache
@@ -319,27 +316,24 @@ def compare(name: str, row: Row, units: Units) -> None:
     _, given, first = plain_call(name, row)
     if units.changes:
         given = row.arguments(units)
-    wanted = dict(converted(first, row.unit, units))
-    got = dict(converted(invoke(name, row, given), row.unit, Units()))
-    assert got.keys() == wanted.keys()
-    for path, value in wanted.items():
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fc":
-            error = row.within * np.abs(value[np.isfinite(value)]).max(initial=0.0)
-            assert got[path].shape == value.shape, f"{name} {path}"
-            np.testing.assert_allclose(
-                got[path], value, rtol=row.within, atol=error, err_msg=f"{name} {path}"
-            )
-        else:
-            assert not (found := [*unlike(value, got[path], path)]), found
+    wanted = dict(converted(first, row.unit, units, name))
+    got = dict(converted(invoke(name, row, given), row.unit, Units(), name))
+    assert not (found := [*unlike(wanted, got, within=row.within, zero=0.0)]), found
 
 
 def unlike(
-    value: Any, got: Any, path: str = "", *, within: float = 1e-9, undecided: float = 0.0
+    value: Any,
+    got: Any,
+    path: str = "",
+    *,
+    within: float = 1e-9,
+    undecided: float = 0.0,
+    zero: float = 1e-3,
 ) -> Iterator[str]:
     """Yield where two values, NaN being NaN, are not of one kind and the same to rounding.
 
-    `within` is relative to the largest number of an array; of its elements the share `undecided`
-    may lie at a threshold, where either side is right.
+    `within` is relative to the largest number of an array, and to `zero` where all are smaller; of
+    its elements the share `undecided` may lie at a threshold, where either side is right.
     """
     if isinstance(value, (list, tuple, dict, pd.DataFrame)) or dataclasses.is_dataclass(value):
         one, other = (_parts(v) for v in (value, got))
@@ -347,14 +341,14 @@ def unlike(
             yield f"{path} is {got!r:.60} instead of {value!r:.60}"
             return
         for name, own in one.items():
-            found = unlike(own, other[name], f"{path}.{name}", within=within, undecided=undecided)
-            yield from found
+            limits = {"within": within, "undecided": undecided, "zero": zero}
+            yield from unlike(own, other[name], f"{path}.{name}", **limits)
         return
     first, second = np.asarray(value), np.asarray(got)
     if first.shape != second.shape or first.dtype.kind != second.dtype.kind:
         wrong = np.ones(1, bool)
     elif first.dtype.kind in "fc":
-        size = np.abs(first[np.isfinite(first)]).max(initial=1e-3)
+        size = np.abs(first[np.isfinite(first)]).max(initial=zero)
         wrong = ~np.isclose(second, first, rtol=0, atol=within * size, equal_nan=True)
     elif first.dtype.kind == "O" and type(value).__eq__ is object.__eq__:
         wrong = np.array([type(value) is not type(got)])

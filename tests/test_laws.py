@@ -72,10 +72,10 @@ def test_law_passes_for_correct_function(law, name):
 @pytest.mark.parametrize(
     ("law", "wrong", "message"),
     [
-        (scales_with_units, row(power=2), "fall .speed"),
-        (follows_origins, row(shift=0.1), "fall .speed"),
-        (second_call_gives_the_same, row(calls=[]), "fall .speed"),
-        (scales_with_units, row(UNITS | {"speed": um}), "fall .speed"),
+        (scales_with_units, row(power=2), "fall.speed"),
+        (follows_origins, row(shift=0.1), "fall.speed"),
+        (second_call_gives_the_same, row(calls=[]), "fall.speed"),
+        (scales_with_units, row(UNITS | {"speed": um}), "fall.speed"),
         (scales_with_units, row(UNITS | {"slow": uN}), "the unit {'uN'}"),
         (scales_with_units, row({"speed": um / s}), "has no unit for"),
     ],

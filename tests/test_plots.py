@@ -16,6 +16,7 @@ from microlib.embryo import modulus_from_image
 from microlib.focus import FocusResult
 from microlib.tracking import Track, plot_track
 from tests import fuzz
+from tests.tracking.test_public import FOUND
 
 mpl.use("Agg")
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -163,7 +164,7 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     starts, rows = [(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)], []
     for k, start in enumerate(starts):
         lost = k in (0, 3)
-        rows.append(Track(**fuzz.TRACK | {"corners": box + start, "lost": lost}).to_dict())
+        rows.append(Track(**FOUND | {"corners": box + start, "lost": lost}).to_dict())
         way = (None, None) if lost else (1.7 * (start[0] - 70), 1.7 * (start[1] - 60))
         rows[-1] |= {"time_s": k / 8} if timed else {}
         rows[-1] |= dict(zip(("x_um", "y_um"), way, strict=True)) if micrometers else {}

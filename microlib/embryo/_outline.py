@@ -231,7 +231,7 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
         if (sizes[1] < 3 * np.sqrt(variances)).any():
             (a, w), (a_std, w_std) = sizes[1] / size, np.sqrt(variances) / size
             raise ValueError(
-                f"outline must show a dimple, got a radius of {a:.2g} ± {a_std:.2g} and a depth of "
+                f"y must show a dimple, got a radius of {a:.2g} ± {a_std:.2g} and a depth of "
                 f"{w:.2g} ± {w_std:.2g} px from the {rim} rim"
             )
         sides[rim] = replace(each[1], covariance=np.diag(variances))
@@ -252,7 +252,7 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
     near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
     if near.sum() < _MIN_POINTS:
         raise ValueError(
-            f"outline must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
+            f"x must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
             "within two radii of where it is deepest"
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
@@ -261,7 +261,7 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
     other = max(*others, 2 * MAD_TO_STD * float(rough))
     if dip.depth <= 2 * other:
         raise ValueError(
-            f"outline must show one dimple, got one of {dip.depth:.2g} px beside others of "
+            f"y must show one dimple, got one of {dip.depth:.2g} px beside others of "
             f"{other:.2g} px; a closed outline must have its points in order along the outline"
         )
     # Gaussians fall to zero.

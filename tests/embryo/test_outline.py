@@ -140,21 +140,19 @@ def test_noisy_arc_raises(noise: float, together: int) -> None:
     for seed in range(6):
         rough = np.random.default_rng(seed).normal(0, noise, x.size)
         rough = gaussian_filter1d(rough, together) if together else rough
-        with pytest.raises(ValueError, match=r"outline must|curve must"):
+        with pytest.raises(ValueError, match=r"[xy] must|curve must"):
             dimple_from_outline(x, np.sqrt(400.0**2 - x**2) + rough, pixel_size=3.9)
 
 
 def test_outline_without_dimple_raises() -> None:
     with pytest.raises(ValueError, match=r"one dimple, got one of 0 px|between two maxima"):
         dimple_from_outline(X, -(((X - 100) / 20) ** 2), pixel_size=PIXEL)
-    with pytest.raises(ValueError, match="outline must have at least 24 points around a dimple"):
+    with pytest.raises(ValueError, match="x must have at least 24 points around a dimple"):
         dimple_from_outline(X[::12], Y[::12], pixel_size=PIXEL)
     # A notch narrower than what LOESS smooths over: each span gives another depth.
     notch = smooth(ACROSS) + 12 * np.exp(-(((ACROSS - 96) / 28) ** 2))
     notch -= 6 * np.exp(-(((ACROSS - 96) / 4) ** 2))
-    with pytest.raises(
-        ValueError, match=r"outline must show a dimple, got a radius of .* ± .* px from"
-    ):
+    with pytest.raises(ValueError, match=r"y must show a dimple, got a radius of .* ± .* px from"):
         dimple_from_outline(ACROSS, notch, pixel_size=1.0)
 
 

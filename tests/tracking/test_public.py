@@ -11,7 +11,6 @@ from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, Track, track_each
 from microlib.tracking.robust._covariance import sandwich
 from microlib.tracking.robust._photometric import _tukey_slope, tukey
-from tests import fuzz
 from tests.laws import (
     GOES_ON,
     NUMBER,
@@ -62,20 +61,26 @@ def used(u) -> KalmanFilter:
     return kalman
 
 
-def steps(kalman, position=None) -> tuple:
-    expected = kalman.predict()
+def steps(self, position=None) -> tuple:
+    expected = self.predict()
     if position is not None:
-        kalman.update(position)
-    return expected, kalman.position, kalman.velocity, kalman.covariance
+        self.update(position)
+    return expected, self.position, self.velocity, self.covariance
 
 
+#: What a tracker says of a frame.
+FOUND = {
+    "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
+    "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
+    "covariance": np.eye(2), "confidence": 1.0, "hidden": np.zeros((6, 6), bool),
+}  # fmt: skip
 LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), NUMBER)
 TRACK = LIGHT | {
     **dict.fromkeys(("lost", "reason", "iterations"), SAME),
     **dict.fromkeys(("covariance", "homography", "hidden"), NUMBER),
     "bias": grey,
 }
-COLUMNS = dict.fromkeys(Track(**fuzz.TRACK).to_dict(), NUMBER) | {
+COLUMNS = dict.fromkeys(Track(**FOUND).to_dict(), NUMBER) | {
     **dict.fromkeys(("lost", "reason", "iterations"), SAME),
     "bias": grey,
 }
@@ -94,12 +99,12 @@ LAWS = {
         "frame": frames(u)[1]}, TRACK, within=SINGLE, laws=GOES_ON),
     "tracking.KalmanFilter": Row(filters,
         {"position": STATE[0], "velocity": STATE[2], "covariance": STATE[3]}),
-    "tracking.KalmanFilter.predict": Row(lambda u: {"kalman": used(u)}, STATE, laws=GOES_ON,
+    "tracking.KalmanFilter.predict": Row(lambda u: {"self": used(u)}, STATE, laws=GOES_ON,
         call=steps),
-    "tracking.KalmanFilter.update": Row(lambda u: {"kalman": used(u),
+    "tracking.KalmanFilter.update": Row(lambda u: {"self": used(u),
         "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, laws=GOES_ON,
         call=steps),
-    "tracking.Track": Row(lambda u: {**fuzz.TRACK, "bias": 3.0 * u.grey}, TRACK),
+    "tracking.Track": Row(lambda u: {**FOUND, "bias": 3.0 * u.grey}, TRACK),
     "tracking.track_all": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
         "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, COLUMNS | WAY, within=SINGLE),
     "tracking.track_each": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
