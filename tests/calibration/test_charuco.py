@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from microlib.calibration import detect_charuco, detect_pattern, detect_squares
+from tests.calibration.scenes import photograph
 
 FIELD = 60  # px of a field of the drawn board
 
 
-def drawn(
-    columns: int, rows: int, name: str, *, ratio: float, old: bool, left: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+def charuco(columns=7, rows=5, name="4X4_50", ratio=0.7, *, old=False, left=0):
     """Draw a board seen from aside; return it and where corner (i, j) of the board is, px."""
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
     board = cv2.aruco.CharucoBoard((columns, rows), 1.0, ratio, markers)
@@ -23,29 +22,28 @@ def drawn(
     view = np.array([[0.93, 0.08, 30.0], [-0.05, 0.97, 40.0], [2e-4, 1e-4, 1.0]])
     view = np.array([[1, 0, -left], [0, 1, 0], [0, 0, 1.0]]) @ view
     image = cv2.warpPerspective(flat, view, size, borderValue=255, flags=cv2.INTER_AREA)
-    image = cv2.GaussianBlur(image, (0, 0), 1.0)
-    image = image * 0.7 + 20 + np.random.default_rng(0).normal(0, 2, image.shape)
     # A pixel's middle is a whole number, and the board begins at its edge.
     corners = FIELD * np.argwhere(np.ones((columns - 1, rows - 1))) + FIELD - 0.5
-    return image, cv2.perspectiveTransform(corners[None].astype(float), view)[0]
+    truth = cv2.perspectiveTransform(corners[None].astype(float), view)[0]
+    return photograph(image * 0.7 + 20, 1.0, 2.0), truth
 
 
 @pytest.mark.parametrize(
-    ("columns", "rows", "name", "ratio", "old", "left"),
+    "drawn",
     [
-        (7, 5, "4X4_50", 0.7, False, 0),
-        (6, 8, "6X6_250", 0.8, True, 0),
-        (9, 6, "5X5_100", 0.6, False, 170),
-        (8, 6, "APRILTAG_36h11", 0.75, False, 0),
-        (8, 6, "ARUCO_MIP_36h12", 0.75, False, 0),
-        (30, 12, "4X4_1000", 0.7, False, 0),
+        {},
+        {"columns": 6, "rows": 8, "name": "6X6_250", "ratio": 0.8, "old": True},
+        {"columns": 9, "rows": 6, "name": "5X5_100", "ratio": 0.6, "left": 170},
+        {"columns": 8, "rows": 6, "name": "APRILTAG_36h11", "ratio": 0.75},
+        {"columns": 8, "rows": 6, "name": "ARUCO_MIP_36h12", "ratio": 0.75},
+        {"columns": 30, "rows": 12, "name": "4X4_1000"},
     ],
 )
-def test_charuco_corners_are_accurate_and_named(columns, rows, name, ratio, old, left) -> None:
-    image, truth = drawn(columns, rows, name, ratio=ratio, old=old, left=left)
+def test_charuco_corners_are_accurate_and_named(drawn):
+    image, truth = charuco(**drawn)
     named, found = detect_pattern(image)
     assert named == "charuco"
-    grid = np.argwhere(np.ones((columns - 1, rows - 1)))
+    grid = np.argwhere(np.ones((drawn.get("columns", 7) - 1, drawn.get("rows", 5) - 1)))
     grid -= [grid[:, 0].max() - found.grid[:, 0].max(), 0]  # what is cut off lies to the left
     np.testing.assert_array_equal(found.positions, found.grid)
     at = [int(np.flatnonzero((grid == place).all(axis=1))[0]) for place in found.grid]
@@ -55,8 +53,8 @@ def test_charuco_corners_are_accurate_and_named(columns, rows, name, ratio, old,
     assert found.sigma[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
 
 
-def test_inverted_charuco_board_has_the_same_corners() -> None:
-    image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
+def test_inverted_charuco_board_has_the_same_corners():
+    image, _ = charuco()
     plain, inverted = (detect_charuco(each) for each in (image, 255 - image))
     np.testing.assert_array_equal(inverted.grid, plain.grid)
     # The noise of 2 levels moves a corner by 0.05 px, and weighs otherwise on a bright ground.
@@ -64,20 +62,17 @@ def test_inverted_charuco_board_has_the_same_corners() -> None:
 
 
 @pytest.mark.parametrize("noise", [2.0, 15.0])
-@pytest.mark.parametrize("blur", [0.0, 1.5])
-def test_chessboard_without_markers_is_not_named_charuco(noise, blur) -> None:
+@pytest.mark.parametrize("blur", [0.3, 1.5])
+def test_chessboard_without_markers_is_not_named_charuco(noise, blur):
     """In one photograph the blur of a chessboard hid it from its own detector."""
     board = np.kron(np.indices((6, 7)).sum(axis=0) % 2, np.ones((20, 20)))
-    image = 40 + 160 * np.pad(board, 20, constant_values=0.5)
-    image = cv2.GaussianBlur(image, (0, 0), blur) if blur else image
-    image = image + np.random.default_rng(0).normal(0, noise, image.shape)
+    image = photograph(40 + 160 * np.pad(board, 20, constant_values=0.5), blur, noise)
     assert detect_pattern(image)[0] == "chessboard"
     with pytest.raises(ValueError, match="no markers in its fields"):
         detect_charuco(image)
 
 
-def test_charuco_board_is_rejected_as_a_chessboard() -> None:
+def test_charuco_board_is_rejected_as_a_chessboard():
     """The corners that are farthest from markers were 12 of 24."""
-    image, _ = drawn(7, 5, "4X4_50", ratio=0.7, old=False)
     with pytest.raises(ValueError, match="with markers in its fields"):
-        detect_squares(image, pattern="chessboard")
+        detect_squares(charuco()[0], pattern="chessboard")

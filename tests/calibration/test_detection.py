@@ -21,8 +21,8 @@ from microlib.calibration import (
 )
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
+from tests.calibration.scenes import outline
 
-DEGREE = np.pi / 180
 SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, image_size=(300, 240))
 PITCH = 30 * 9.9 / 2  # 30 px
 CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = map(thesis.microscope, thesis.COLUMNS)
@@ -71,25 +71,29 @@ def test_rendered_edge_equals_its_exact_integral():
 def test_rendered_areas_are_exact(turn, x, y):
     """Without blur, the dark area of one shape is its area on the sensor."""
     scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, image_size=(80, 80))
-    sharp = ImagingConditions(blur=0.0)
-    pixel = 9.9 / 2
-    circle = ((200 - render_circles(scope, radius=80, counts=(1, 1), imaging=sharp)) / 150).sum()
+    one = {"counts": (1, 1), "imaging": ImagingConditions(blur=0.0)}
+    circle, square = (
+        ((200 - image) / 150).sum() * (9.9 / 2) ** 2
+        for image in (
+            render_circles(scope, radius=80, **one),
+            render_squares(scope, side=100, **one),
+        )
+    )
     # Straight edges in cells of a third of a pixel: relative error (1/3)²/(24 r²), r = 16 px;
     # float32 sums.
-    assert circle * pixel**2 == pytest.approx(np.pi * 80**2, rel=4e-5)
-    square = ((200 - render_squares(scope, side=100, counts=(1, 1), imaging=sharp)) / 150).sum()
+    assert circle == pytest.approx(np.pi * 80**2, rel=4e-5)
     # Exact but for the corners of the square, which are cut to 1/24 of a pixel.
-    assert square * pixel**2 == pytest.approx(100**2, rel=1e-5)
+    assert square == pytest.approx(100**2, rel=1e-5)
 
 
 def test_rendered_noise_follows_its_seed_and_sigma():
     noisy = ImagingConditions(noise=3.0)
     one, again, other = (render_squares(SMALL, imaging=noisy, rng=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
+    assert (one != other).any()
     # Standard error of a standard deviation from 72000 pixels: 0.26 %; four of them.
     clean = render_squares(SMALL, imaging=replace(noisy, noise=0.0))
     assert (one - clean).std() == pytest.approx(3.0, rel=0.011)
-    assert (one != other).any()
     with pytest.raises(ValueError, match="rng"):
         render_squares(SMALL, imaging=noisy)
     with pytest.raises(ValueError, match="pitch"):  # circles that overlap
@@ -99,46 +103,39 @@ def test_rendered_noise_follows_its_seed_and_sigma():
 # Detection
 
 
-def whole_circles(scope, margin=0.3):
-    """Centers of the circles whose outline lies so far inside the image, px."""
-    cells = np.stack(np.meshgrid(np.arange(-20, 21), np.arange(-20, 21)), axis=-1).reshape(-1, 2)
-    turn = np.linspace(0, 2 * np.pi, 40)
-    rim = cells[:, None] * 280.0 + 70 * np.column_stack([np.cos(turn), np.sin(turn)])
-    seen = scope.project(rim.reshape(-1, 2)).reshape(rim.shape)
-    return cells[((seen > margin) & (seen < np.array([655, 490]) - margin)).all(axis=(1, 2))]
+def whole_marks(scope, kind, size, pitch, margin):
+    """Places, in pitches, of the marks that lie so far inside the image, px."""
+    places = np.argwhere(np.ones((81, 81))) - 40
+    shape = outline(kind, size) + (size / 2 if kind == "square" else 0)
+    seen = scope.project((places[:, None] * pitch + shape).reshape(-1, 2)).reshape(-1, 64, 2)
+    within = (seen > margin) & (seen < np.array(scope.image_size) - 1 - margin)
+    return set(map(tuple, places[within.all(axis=(1, 2))]))
 
 
-def whole_squares(scope, side):
-    """Corners of the squares that lie at least 0.3 px inside the image."""
-    cells = np.stack(np.meshgrid(np.arange(-60, 61), np.arange(-60, 61)), axis=-1).reshape(-1, 1, 2)
-    corners = 2 * cells + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    seen = scope.project(corners.reshape(-1, 2) * side).reshape(corners.shape)
-    return corners[((seen > 0.3) & (seen < [654.7, 489.7])).all(axis=(1, 2))].reshape(-1, 2)
-
-
-@pytest.mark.parametrize("scope", [CIRCLE_1X, CIRCLE_4X], ids=["1X", "4X"])
-def test_all_complete_circles_of_thesis_views_are_detected(scope):
+@pytest.mark.parametrize(
+    ("kind", "scope", "size", "pitch"),
+    [
+        ("circle", CIRCLE_1X, 70.0, 280.0),
+        ("circle", CIRCLE_4X, 70.0, 280.0),
+        ("square", SQUARE_1X, 200.0, 400.0),
+        ("square", SQUARE_4X, 50.0, 100.0),
+    ],
+)
+def test_all_complete_marks_of_thesis_views_are_detected(kind, scope, size, pitch):
     rng = np.random.default_rng(0)
     scope = replace(scope, tx=scope.tx + rng.uniform(-20, 20), ty=scope.ty + rng.uniform(-20, 20))
-    image = render_circles(scope, imaging=ImagingConditions(noise=2.0), rng=rng)
-    found = detect_circles(image)
-    assert np.abs(errors(scope, found, 280.0)).max() < 0.05  # wrong points are off by pixels
-    grid = np.round(scope.back_project(found.points) / 280.0)
-    inner, outer = (set(map(tuple, whole_circles(scope, margin))) for margin in (0.3, -0.3))
-    assert inner <= set(map(tuple, grid)) <= outer < set(map(tuple, whole_circles(scope, -30)))
-
-
-@pytest.mark.parametrize(("scope", "side"), [(SQUARE_1X, 200.0), (SQUARE_4X, 50.0)])
-def test_all_complete_squares_of_thesis_views_are_detected(scope, side):
-    rng = np.random.default_rng(3)
-    image = render_squares(scope, side=side, imaging=ImagingConditions(noise=2.0), rng=rng)
-    found = detect_squares(image)
-    assert np.abs(errors(scope, found, side)).max() < 0.05
-    grid = np.round(scope.back_project(found.points) / side)
-    assert set(map(tuple, whole_squares(scope, side))) <= set(map(tuple, grid))
-    shapes, counts = np.unique(found.group, return_counts=True)
-    assert len(shapes) == len(found.points) / 4
-    assert (counts == 4).all()
+    noisy = {"imaging": ImagingConditions(noise=2.0), "rng": rng}
+    if kind == "circle":
+        found, corners = detect_circles(render_circles(scope, **noisy)), 1
+    else:
+        found, corners = detect_squares(render_squares(scope, side=size, **noisy)), 4
+    assert np.abs(errors(scope, found, pitch if kind == "circle" else size)).max() < 0.05
+    marks, counts = np.unique(found.group, return_counts=True)
+    assert (counts == corners).all()
+    middles = [found.points[found.group == mark].mean(axis=0) for mark in marks]
+    places = (scope.back_project(middles) - (size / 2 if kind == "square" else 0)) / pitch
+    inner, outer = (whole_marks(scope, kind, size, pitch, margin) for margin in (0.3, -0.3))
+    assert inner <= set(map(tuple, places.round())) <= outer
 
 
 @pytest.mark.parametrize(
@@ -168,61 +165,54 @@ def test_localization_error_is_below_limits_and_equals_sigma(
         assert rms / np.sqrt((found.sigma**2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
+def test_bias_of_circles_under_perspective_is_removed():
+    """The centers of the ellipses lie up to 0.1 px beside the images of the circles' centers."""
+    scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
+    found = detect_circles(render_circles(scope, radius=60, pitch=200, counts=(8, 6)))
+    # Model error only (no noise): 3 % of the bias.
+    assert np.abs(errors(scope, found, 200.0)).max() < 0.003
+
+
+@pytest.mark.parametrize(
+    ("scope", "side", "most"),
+    [
+        # A Gaussian edge stands for a box and a Gaussian; corners of bent sides.
+        (SQUARE_1X, 200.0, 0.002),
+        # Lines through the bent sides cross up to 0.08 px beside the corners, at ten times the
+        # thesis' distortion. The correction takes the sides as evenly weighted and leaves a fifth.
+        (
+            Microscope(2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, image_size=(420, 340)),
+            300.0,
+            0.02,
+        ),
+    ],
+    ids=["thesis", "strong distortion"],
+)
+def test_bias_of_corners_under_distortion_is_removed(scope, side, most):
+    found = detect_squares(render_squares(scope, side=side))
+    assert len(found.points) >= 16
+    assert np.abs(errors(scope, found, side)).max() < most
+
+
+def test_dirt_is_not_detected_as_a_circle():
+    noisy = {"imaging": ImagingConditions(noise=2.0), "rng": 7}
+    image = render_circles(CIRCLE_1X, **noisy)
+    clean = detect_circles(image)
+    first = clean.points[len(clean.points) // 2]
+    cv2.circle(image, (300, 245), 9, 60.0, -1)  # between the circles
+    cv2.rectangle(image, np.int_(first + 2), np.int_(first + 15), 50.0, -1)  # on one
+    found = detect_circles(image)
+    assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
+    assert len(found.points) >= len(clean.points) - 3
+    assert np.hypot(*(found.points - first).T).min() > 10
+
+
 def test_table_of_detection_has_its_columns_in_order():
     found = detect_circles(render_circles(SMALL, counts=(6, 4)))
     table = found.to_frame()
     for pair in ("grid", "positions", "points"):
         columns = [f"{pair}_{name}" for name in ("ij" if pair == "grid" else "xy")]
         np.testing.assert_array_equal(table[columns], getattr(found, pair))
-
-
-def test_bias_of_circles_under_perspective_is_removed():
-    scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
-    image = render_circles(scope, radius=60, pitch=200, counts=(8, 6))
-    found = detect_circles(image)
-    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
-    rim = np.column_stack([np.cos(turn), np.sin(turn)])
-    grid = np.round(scope.back_project(found.points) / 200)
-    ellipses = [
-        cv2.fitEllipse((scope.project(200 * g + 60 * rim)).astype(np.float32)) for g in grid
-    ]
-    bias = np.array([e[0] for e in ellipses]) - scope.project(200 * grid)
-    assert np.abs(bias).max() > 0.05  # what would be left if nobody cared
-    # Model error only (no noise): 3 % of the bias.
-    assert np.abs(errors(scope, found, 200.0)).max() < 0.003
-
-
-def test_noise_free_squares_have_no_bias():
-    image = render_squares(SQUARE_1X, side=200.0)
-    found = detect_squares(image)
-    # A Gaussian edge stands for a box and a Gaussian; corners of bent sides.
-    assert np.abs(errors(SQUARE_1X, found, 200.0)).max() < 0.002
-
-
-def test_bias_of_corners_under_distortion_is_removed():
-    """Lines through the sides of a strongly distorted square cross beside its corners."""
-    scope = Microscope(2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, image_size=(420, 340))
-    found = detect_squares(render_squares(scope, side=300.0))
-    assert len(found.points) >= 16
-    # The crossings lie up to 0.08 px off the corners here, at ten times the thesis' distortion. The
-    # correction takes the sides as evenly weighted and leaves a fifth of that.
-    assert np.abs(errors(scope, found, 300.0)).max() < 0.02
-
-
-def test_dirt_is_not_detected_as_a_circle():
-    rng = np.random.default_rng(7)
-    image = render_circles(CIRCLE_1X, imaging=ImagingConditions(noise=2.0), rng=rng)
-    clean = detect_circles(image)
-    dirty = image.copy()
-    cv2.circle(dirty, (300, 245), 9, 60.0, -1)  # between the circles
-    first = clean.points[len(clean.points) // 2]
-    cv2.rectangle(
-        dirty, np.int_(np.add(first, [2, 2])), np.int_(np.add(first, [16, 14])), 50.0, -1
-    )  # on one
-    found = detect_circles(dirty)
-    assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
-    assert len(found.points) >= len(clean.points) - 3
-    assert np.hypot(*(found.points - first).T).min() > 10
 
 
 @pytest.mark.parametrize(

@@ -1,53 +1,17 @@
-"""A stage micrometer: its lines are rendered through their distances, in finer pixels."""
+"""Stage micrometers against scales that the library's renderer did not draw."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from microlib.calibration import detect_micrometer
+from tests.calibration.scenes import SHAPE, scale
+from tests.laws import hold_sigma
 
-WIDTH, HEIGHT, FINE = 320, 240, 4
-
-
-def scale(
-    seed: int = 0,
-    *,
-    spacing: float = 12.3,
-    angle: float = 0.2,
-    lines: int = 17,
-    width: float = 0.25,
-    length: float = 30.0,
-    blur: float = 1.2,
-    noise: float = 2.0,
-    ink: float = 60.0,
-    paper: float = 190.0,
-    numerals: bool = True,
-) -> np.ndarray:
-    """A ruler whose every tenth line is longer and has a numeral."""
-    rng = np.random.default_rng(seed)
-    middle = np.array([WIDTH, HEIGHT]) / 2 + rng.uniform(-3, 3, 2)
-    y, x = (np.mgrid[: HEIGHT * FINE, : WIDTH * FINE] + 0.5) / FINE - 0.5
-    cos, sin = np.cos(angle), np.sin(angle)
-    across = (x - middle[0]) * cos + (y - middle[1]) * sin
-    along = -(x - middle[0]) * sin + (y - middle[1]) * cos
-    number = np.round(across / spacing + (lines - 1) / 2)
-    end = np.where(number % 10 == 0, 2 * length, length)
-    beside = np.abs(across - (number - (lines - 1) / 2) * spacing)
-    inside = np.minimum(width * spacing / 2 - beside, np.minimum(along, end - along))
-    covered = np.clip(inside * FINE + 0.5, 0, 1) * ((number >= 0) & (number < lines))
-    image = (paper + (ink - paper) * covered).astype(np.float32)
-    for ten in range(0, lines, 10) if numerals else ():
-        at = (ten - (lines - 1) / 2) * spacing, 2 * length + 18
-        place = np.array([at[0] * cos - at[1] * sin, at[0] * sin + at[1] * cos]) + middle
-        written = np.zeros(image.shape, np.uint8)
-        where = (place * FINE).astype(int).tolist()
-        cv2.putText(written, str(ten // 10), where, cv2.FONT_HERSHEY_SIMPLEX, 1.6, 255, 6)
-        image[written > 0] = ink
-    image = cv2.GaussianBlur(image, (0, 0), blur * FINE)
-    image = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    return np.clip(np.round(image + rng.normal(0, noise, image.shape)), 0, 255).astype(np.uint8)
+HEIGHT, WIDTH = SHAPE
 
 
 @pytest.mark.parametrize(
@@ -63,31 +27,27 @@ def scale(
     ],
 )
 def test_spacing_of_scale_lines_is_accurate(change):
-    found = detect_micrometer(scale(**change))
-    true = change.get("spacing", 12.3)
+    drawn = {"spacing": 12.3, "angle": 0.2, "length": 30.0} | change
+    found = detect_micrometer(scale(**drawn))
+    true, angle = drawn["spacing"], drawn["angle"]
     # Noise leaves 0.0002 to 0.0015 px; a wrong line would be 1/16 of a spacing.
     assert found.spacing == pytest.approx(true, rel=3e-4)
     assert abs(found.spacing - true) < 4 * found.spacing_sigma
-    turn = found.angle - change.get("angle", 0.2)
     # Across the lines, to either side: a lean of 0.02 makes 2e-4 of the spacing.
-    assert abs(np.sin(turn)) < 0.02
+    assert abs(np.sin(found.angle - angle)) < 0.02
     assert np.diff(found.divisions).min() >= 1
-    angle = change.get("angle", 0.2)
-    across, along = (
-        np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        @ (found.points - np.array([WIDTH, HEIGHT]) / 2).T
-    )
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    across, along = turn @ (found.points - np.array([WIDTH, HEIGHT]) / 2).T
     # The scale's middle is drawn within 4.3 px of the image's; every point is on its line.
     assert abs(across.mean()) < 5
     np.testing.assert_allclose(np.abs(np.diff(across)), true * np.diff(found.divisions), atol=0.2)
-    assert -5 < along.min() <= along.max() < change.get("length", 30.0) + 5
+    assert -5 < along.min() <= along.max() < drawn["length"] + 5
 
 
 def test_missing_line_is_skipped_and_uneven_lines_are_rejected():
     """A line that is gone is skipped in the count; one in the wrong place is no scale's."""
     image = scale(angle=0.0, numerals=False)
-    whole = detect_micrometer(image)
-    x = int(whole.points[8, 0])
+    x = int(detect_micrometer(image).points[8, 0])
     image[:, x - 6 : x + 6] = 190
     found = detect_micrometer(image)
     np.testing.assert_array_equal(found.divisions, np.delete(np.arange(17), 8))
@@ -109,3 +69,22 @@ def test_uneven_light_adds_no_bias_to_a_scale(spacing, angle):
     image = scale(3, spacing=spacing, angle=angle, lines=int(190 / spacing), blur=1.5)
     found = detect_micrometer(image * light)
     assert found.spacing == pytest.approx(spacing, rel=1e-3)
+
+
+@pytest.mark.parametrize(("count", "draws"), [(5, 150), (20, 60)])
+def test_sigma_of_the_spacing_uses_degrees_of_freedom_of_lines(count, draws):
+    """The spacing's σ in drawn images of few and many lines: ν is their number less two."""
+    rng = np.random.default_rng(count)
+    errors, sigmas = [], []
+    x = np.arange(12 * count + 30.0)
+    # Of five lines a σ by ν = 5 in place of 3 is 29 % less, what `hold_sigma` sees of 150.
+    for _ in range(draws):
+        places = 21.3 + 12.0 * np.arange(count) + rng.normal(0, 0.05, count)
+        dark = np.exp(-((x - places[:, None]) ** 2) / 4).sum(axis=0)
+        found = detect_micrometer(np.tile(200 - 120 * dark, (20, 1)).astype(np.float32))
+        errors.append(found.spacing - 12.0)
+        sigmas.append(found.spacing_sigma)
+    hold_sigma(errors, sigmas, freedom=count - 2)
+    value, low, high = found.um_per_pixel(10.0)
+    ends = found.spacing + student(count - 2).ppf([0.975, 0.025]) * found.spacing_sigma
+    np.testing.assert_allclose([value, low, high], 10.0 / np.array([found.spacing, *ends]))

@@ -7,21 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
-from scipy.stats import t as student
 
-from microlib.calibration import (
-    calibrate,
-    detect_circles,
-    detect_micrometer,
-    detect_squares,
-    radial_alignment,
-    stage_affine,
-)
+from microlib.calibration import calibrate, radial_alignment, stage_affine
 from microlib.microscope import Microscope
-from microlib.synthetic import render_circles, render_squares
 from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
+from tests.calibration.scenes import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 from tests.laws import (
     NUMBER,
     SAME,
@@ -29,29 +20,21 @@ from tests.laws import (
     Row,
     TestedBy,
     covariance,
-    hold_sigma,
     laws_of,
     px,
     um,
 )
 
-#: Cells that are not square, an image that is not, a tilt and a turn, axes aside.
-SENSOR = {"pixel_size": (9.9, 8.3), "image_size": (656, 491)}
-SCOPE = Microscope(2e5, 126e3, 79380, -8e-10, 0.3, 0.2, -0.15, -900, -700, **SENSOR)
-GRID = 280.0 * np.stack(np.meshgrid(np.arange(-4, 14), np.arange(-4, 12)), -1).reshape(-1, 2)
-SEEN = SCOPE.project(GRID)
-SHOWN = ((SEEN > 5) & (SEEN < [650, 485])).all(axis=1)
-WORLD, IMAGE = GRID[SHOWN][::3], SEEN[SHOWN][::3]
-IMAGE = IMAGE + np.random.default_rng(5).normal(0, 0.02, IMAGE.shape)
+WORLD = grid_in_view(SCOPE)[::3]
+IMAGE = SCOPE.project(WORLD) + np.random.default_rng(5).normal(0, 0.02, WORLD.shape)
 SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.cell
 FLAT = SCOPE.to_objective(WORLD)
-MOVES = np.array([[0.0, 0], [40, 0], [0, 55], [-40, 0], [0, -40], [35, 40], [-40, 30]])
 
 
 @cache
 def calibrated(um=1.0):
-    cells = {"pixel_size": (9.9 * um, 8.3 * um), "image_size": (656, 491)}
-    return calibrate(WORLD * um, IMAGE, focal_length=126e3 * um, **cells)
+    sensor = SENSOR | {"pixel_size": (9.9 * um, 8.3 * um)}
+    return calibrate(WORLD * um, IMAGE, focal_length=126e3 * um, **sensor)
 
 
 def spans(um):
@@ -85,7 +68,7 @@ LAWS = {
         lambda u: {"self": calibrated(u.um), "level": 0.9}, um, within=SEARCHED
     ),
     "calibration.Calibration.to_json": TestedBy(
-        test_stage.test_opencv_projection_from_json_equals_the_model
+        test_stage.test_json_describes_the_camera_to_other_programs
     ),
     "calibration.Calibration.from_json": TestedBy(
         test_stage.test_calibration_survives_json_and_csv
@@ -110,7 +93,7 @@ LAWS = {
         test_charuco.test_inverted_charuco_board_has_the_same_corners
     ),
     "calibration.detect_circles": TestedBy(
-        test_detection.test_all_complete_circles_of_thesis_views_are_detected
+        test_detection.test_all_complete_marks_of_thesis_views_are_detected
     ),
     "calibration.detect_micrometer": TestedBy(
         test_micrometer.test_spacing_of_scale_lines_is_accurate
@@ -119,7 +102,7 @@ LAWS = {
         test_boards.test_detect_pattern_names_the_pattern
     ),
     "calibration.detect_squares": TestedBy(
-        test_detection.test_all_complete_squares_of_thesis_views_are_detected
+        test_detection.test_all_complete_marks_of_thesis_views_are_detected
     ),
     "calibration.linear_intrinsics": Row(
         lambda u: {
@@ -157,25 +140,6 @@ def test_law_holds(law, name):
     law(name, LAWS[name])
 
 
-@pytest.mark.parametrize(("count", "draws"), [(5, 150), (20, 60)])
-def test_micrometer_sigma_uses_degrees_of_freedom_of_lines(count, draws):
-    """The spacing's σ in drawn images of few and many lines: ν is their number less two."""
-    rng = np.random.default_rng(count)
-    errors, sigmas = [], []
-    x = np.arange(12 * count + 30.0)
-    # Of five lines a σ by ν = 5 in place of 3 is 29 % less, what `hold_sigma` sees of 150.
-    for _ in range(draws):
-        places = 21.3 + 12.0 * np.arange(count) + rng.normal(0, 0.05, count)
-        dark = np.exp(-((x - places[:, None]) ** 2) / 4).sum(axis=0)
-        found = detect_micrometer(np.tile(200 - 120 * dark, (20, 1)).astype(np.float32))
-        errors.append(found.spacing - 12.0)
-        sigmas.append(found.spacing_sigma)
-    hold_sigma(errors, sigmas, freedom=count - 2)
-    value, low, high = found.um_per_pixel(10.0)
-    ends = found.spacing + student(count - 2).ppf([0.975, 0.025]) * found.spacing_sigma
-    np.testing.assert_allclose([value, low, high], 10.0 / np.array([found.spacing, *ends]))
-
-
 def test_pose_follows_rotation_and_order_of_points():
     """Of both solutions the one with the pattern's own tilt."""
     alpha, beta, gamma, tx, ty = radial_alignment(WORLD, SENSOR_POINTS)
@@ -188,30 +152,12 @@ def test_pose_follows_rotation_and_order_of_points():
     )
 
 
-NEAR = Microscope(2e5, 126e3, 79380, -8e-10, 0.2, 0.1, -0.05, -300, -350, (9.9, 8.3), (170, 140))
-CIRCLES = render_circles(NEAR, pitch=180.0, radius=50.0, counts=(4, 5))
-SQUARES = render_squares(NEAR, side=110.0, counts=(3, 3))
-FIELDS = np.pad(np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((18, 18))), 25)
-NOISE = np.random.default_rng(2).normal(0, 1, (200, 250))
-
-
-def photographed(dark):
-    return gaussian_filter(200 - 120.0 * dark, 1.0) + NOISE[: len(dark), : dark.shape[1]]
-
-
-PATTERNS = {
-    "circles": (detect_circles, CIRCLES, {}),
-    "squares": (detect_squares, SQUARES, {}),
-    "chessboard": (detect_squares, photographed(FIELDS), {"pattern": "chessboard"}),
-}
-
-
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
-@pytest.mark.parametrize("shown", PATTERNS)
+@pytest.mark.parametrize("shown", ["circles", "squares", "chessboard"])
 def test_detected_points_follow_flips_and_rotations(shown, view):
-    detect, image, more = PATTERNS[shown]
-    one = detect(image, **more)
-    other = detect(np.ascontiguousarray(view.image(image)), **more)
+    detect, image = test_boards.DETECTORS[shown], PHOTOGRAPHS[shown]
+    one = detect(image)
+    other = detect(np.ascontiguousarray(view.image(image)))
     wanted = view.points(one.points, image.shape)
     order = cKDTree(wanted).query(other.points)[1]
     assert sorted(order) == list(range(len(wanted)))
