@@ -26,7 +26,15 @@ def grid_in_view(scope, pitch=280.0):
     """Points of a lattice that a microscope sees, µm."""
     world = pitch * (np.argwhere(np.ones((81, 81))) - 40.0)
     seen = scope.project(world)
-    return world[((seen > 5) & (seen < np.array(scope.image_size) - 6)).all(axis=1)]
+    return world[((seen > 9) & (seen < np.array(scope.image_size) - 10)).all(axis=1)]
+
+
+def imperfect_projection(scope, world, *, bend=0.0, aside=(0.0, 0.0), k2=0.0):
+    """Image of a pattern on a bent plane, a principal point aside, and a second distortion term."""
+    bent = np.column_stack([world, bend * (world[:, 0] / 2000) ** 2])
+    points = scope.project(bent) - scope.principal_point
+    r2 = ((points * scope.cell) ** 2).sum(axis=1, keepdims=True)
+    return points * (1 + k2 * r2**2) + scope.principal_point + aside
 
 
 def covering(polygons: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from microlib.calibration import calibrate, radial_alignment, stage_affine
-from microlib.microscope import Microscope
+from microlib.calibration import calibrate, stage_affine
 from tests.calibration import test_boards, test_charuco, test_detection, test_micrometer, test_stage
 from tests.calibration.scenes import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 from tests.laws import (
@@ -24,6 +23,7 @@ from tests.laws import (
     px,
     um,
 )
+from tests.test_microscope import pose
 
 WORLD = grid_in_view(SCOPE)[::3]
 IMAGE = SCOPE.project(WORLD) + np.random.default_rng(5).normal(0, 0.02, WORLD.shape)
@@ -74,14 +74,11 @@ LAWS = {
         test_stage.test_calibration_survives_json_and_csv
     ),
     "calibration.Detection": TestedBy(
-        test_detection.test_localization_error_is_below_limits_and_equals_sigma
+        test_boards.test_points_are_accurate_for_any_marks_blur_and_noise
     ),
     "calibration.cramer_rao": Row(
         lambda u: {
-            "microscope": Microscope(
-                2e5 * u.um, 126e3 * u.um, 79380 * u.um, -8e-10 / u.um**2, 0.3, 0.2, -0.15,
-                -900 * u.um, -700 * u.um, (9.9 * u.um, 8.3 * u.um),
-            ),
+            "microscope": pose(u),
             "world": WORLD * u.um,
             "noise": 0.02,
             "parameters": ("distortion", "alpha", "tx"),
@@ -138,18 +135,6 @@ LAWS = {
 @pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
 def test_law_holds(law, name):
     law(name, LAWS[name])
-
-
-def test_pose_follows_rotation_and_order_of_points():
-    """Of both solutions the one with the pattern's own tilt."""
-    alpha, beta, gamma, tx, ty = radial_alignment(WORLD, SENSOR_POINTS)
-    sign = np.sign(beta) * np.sign(SCOPE.beta)
-    np.testing.assert_allclose([beta * sign, gamma * sign], [0.2, -0.15], atol=0.01)
-    order = np.random.default_rng(0).permutation(len(WORLD))
-    turned = radial_alignment(WORLD[order], SENSOR_POINTS[order] @ [[0.0, 1.0], [-1.0, 0.0]])
-    np.testing.assert_allclose(
-        turned, [alpha + np.pi / 2, beta, gamma, -ty, tx], rtol=1e-9, atol=1e-9
-    )
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
