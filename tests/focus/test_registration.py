@@ -15,7 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 from compendium.experiments.disc_blur import disc_blur
+from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
+from tests.focus.scenes import defocused, inner, rms
+from tests.scenes import camera_frame
 
 SIDE, MARGIN, COUNT = 160, 24, 15
 POSITIONS = np.arange(float(COUNT))
@@ -26,27 +29,10 @@ MIDDLE = COUNT // 2
 def scene(kind: str, seed: int) -> tuple[NDArray, NDArray]:
     """Return frames with a margin, without noise, and the true depth without it."""
     side = SIDE + 2 * MARGIN
-    rng = np.random.default_rng(seed)
-    texture = np.zeros((side, side))
-    for sigma in (0.8, 1.6, 4.0, 10.0):
-        grain = cv2.GaussianBlur(rng.standard_normal((side, side)), (0, 0), sigma)
-        texture += 18 * grain / grain.std()
-    texture = 118 + texture
+    texture = np.float32(synthetic.mixed_texture((side, side), seed))
     y, x = (np.indices((side, side)) - (side - 1) / 2) / (SIDE / 2)
-    depth = {
-        "dome": 11 - 4.0 * (x**2 + y**2),
-        "tilt": 7 + 3.5 * x + y,
-        "flat": np.full((side, side), 7.3),
-    }[kind]
-    radii = np.linspace(0, 20, 61)
-    blurred = np.stack([disc_blur(texture, radius) for radius in radii])
-    frames = np.empty((COUNT, side, side))
-    for frame, position in zip(frames, POSITIONS, strict=True):
-        place = 1.5 * np.abs(depth - position) * 3
-        low = np.minimum(place.astype(int), len(radii) - 2)
-        share = place - low
-        frame[:] = (1 - share) * np.take_along_axis(blurred, low[None], 0)[0]
-        frame += share * np.take_along_axis(blurred, low[None] + 1, 0)[0]
+    depth = {"dome": 11 - 4.0 * (x**2 + y**2), "tilt": 7 + 3.5 * x + y, "flat": 7.3 + 0 * x}[kind]
+    frames = defocused(texture, 1.5 * np.abs(depth - POSITIONS[:, None, None]), disc_blur)
     return frames, depth[MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
@@ -78,8 +64,7 @@ def disturbed(
         seen = frame[MARGIN:-MARGIN, MARGIN:-MARGIN] * level
         seen = seen * drift**part * (1 + flicker * rng.uniform(-1, 1))
         seen = seen * (1 - vignetting * (part + 0.5) * (x**2 + y**2) / 2)
-        seen = seen + offset * rng.uniform(-1, 1) + 2 * rng.standard_normal(seen.shape)
-        stack[k] = np.clip(np.rint(seen), 0, 255)
+        stack[k] = camera_frame(seen + offset * rng.uniform(-1, 1), rng)
     return stack
 
 
@@ -98,15 +83,11 @@ def registered(kind: str, seed: int, **how: float) -> FocusResult:
 
 def ratio(kind: str, seed: int, found: NDArray, level: float = 1.0) -> float:
     """Return the RMS error over that of the stack at rest, where both are known."""
-    _, truth = scene(kind, seed)
-    rest = at_rest(kind, seed, level)
-    inner = np.zeros(truth.shape, bool)
-    inner[12:-12, 12:-12] = True
-    known = inner & np.isfinite(found) & np.isfinite(rest)
-    assert known.sum() > 0.8 * inner.sum()
-    return float(
-        np.sqrt(np.mean((found - truth)[known] ** 2) / np.mean((rest - truth)[known] ** 2))
-    )
+    truth, rest = scene(kind, seed)[1], at_rest(kind, seed, level)
+    errors = inner(np.array([found - truth, rest - truth]), 12)
+    known = np.isfinite(errors).all(axis=0)
+    assert known.mean() > 0.8
+    return rms(errors[0, known]) / rms(errors[1, known])
 
 
 # The limits are those of benchmarks/registration.py, a tenth wider: one small scene is no mean.
@@ -134,28 +115,19 @@ def test_registration_removes_motion_and_flicker(
 
 
 def test_registration_recovers_warps_and_gains() -> None:
-    result = registered("tilt", 1, shift=0.5, drift=2.0, level=0.65)
+    result = registered("dome", 1, shift=0.5, turn=3.0, scale=0.02, drift=2.0, level=0.65)
     assert result.warps is not None
     assert result.gain is not None
-    way = 0.5 * (np.arange(COUNT) - MIDDLE)
+    number = np.arange(COUNT) - MIDDLE
     center = np.array([(SIDE - 1) / 2, (SIDE - 1) / 2, 1.0])
     moved = result.warps @ center - center[:2]
-    # A tilt's blur looks like a shift, a tenth of a px a frame: the depth does not suffer.
-    np.testing.assert_allclose(moved, np.outer(way, [0.8, 0.6]), atol=0.5)
-    near = slice(MIDDLE - 4, MIDDLE + 5)
-    np.testing.assert_allclose(moved[near], np.outer(way, [0.8, 0.6])[near], atol=0.15)
-    true = 2.0 ** ((np.arange(COUNT) - MIDDLE) / (COUNT - 1))
-    np.testing.assert_allclose(result.gain / true, 1, atol=0.01)
-    np.testing.assert_array_equal(result.offset, 0)  # there are none
-
-
-def test_registration_recovers_a_rotation() -> None:
-    poses = registered("tilt", 1, turn=3.0, scale=0.02).warps
-    assert poses is not None
-    true = np.deg2rad(3.0) * (np.arange(COUNT) - MIDDLE) / (COUNT - 1)
+    np.testing.assert_allclose(moved, np.outer(0.5 * number, [0.8, 0.6]), atol=0.15)
     # A fifth of a px at the corners, 110 px from the middle; the scale, which a blur that
     # changes over the image resembles, is known to half of what it is here.
-    np.testing.assert_allclose(np.arctan2(poses[:, 0, 1], poses[:, 0, 0]), true, atol=2e-3)
+    turn = np.arctan2(result.warps[:, 0, 1], result.warps[:, 0, 0])
+    np.testing.assert_allclose(turn, np.deg2rad(3.0) * number / (COUNT - 1), atol=2e-3)
+    np.testing.assert_allclose(result.gain / 2.0 ** (number / (COUNT - 1)), 1, atol=0.01)
+    np.testing.assert_array_equal(result.offset, 0)  # there are none
 
 
 def test_registration_removes_flicker_of_each_color() -> None:
@@ -165,26 +137,24 @@ def test_registration_removes_flicker_of_each_color() -> None:
     still = depth_from_focus(disturbed(frames, 1), POSITIONS).all_in_focus
     fused = result.all_in_focus.mean(axis=2)
     # The middle frame has its own gain; places from other frames must not keep theirs, which
-    # differ by up to 30 % of 118 grey levels.
+    # differ by up to 30 % of 128 grey levels.
     off = fused * still.mean() / fused.mean() - still
     assert cv2.blur(off, (15, 15))[10:-10, 10:-10].std() < 1.0
 
 
 def test_registration_recovers_offsets() -> None:
-    frames, _ = scene("dome", 1)
     gain = 1.5 ** (np.arange(COUNT) / (COUNT - 1))
-    stack = disturbed(frames, 1).astype(np.float32) * gain[:, None, None]
+    still = disturbed(scene("dome", 1)[0], 1)
     true = np.random.default_rng(0).uniform(-8, 8, COUNT) + 30 * gain**4
-    result = depth_from_focus(stack + true[:, None, None], POSITIONS, register=True)
+    stack = np.float32(still) * gain[:, None, None] + true[:, None, None]
+    result = depth_from_focus(stack, POSITIONS, register=True)
     assert result.offset is not None
     near = slice(MIDDLE - 4, MIDDLE + 5)
-    ratio = gain / gain[MIDDLE]
-    # Gain and offset of a link share one error: 0.5 % of 118 grey levels.
-    expected = true - ratio * true[MIDDLE]
+    # Gain and offset of a link share one error: 0.5 % of 128 grey levels.
+    expected = true - gain / gain[MIDDLE] * true[MIDDLE]
     np.testing.assert_allclose(result.offset[near], expected[near], atol=1.5 * gain.max())
     # The image is made of frames in the light of the middle frame, whatever their own gain is.
-    at_rest = depth_from_focus(disturbed(frames, 1), POSITIONS).all_in_focus
-    same_light = at_rest * gain[MIDDLE] + true[MIDDLE]
+    same_light = depth_from_focus(still, POSITIONS).all_in_focus * gain[MIDDLE] + true[MIDDLE]
     change = result.all_in_focus - same_light
     light = [np.median(change[result.index == k]) for k in range(MIDDLE, MIDDLE + 5)]
     np.testing.assert_allclose(light, 0, atol=0.7)
