@@ -22,9 +22,8 @@ from benchmarks.photographs import grey_levels, middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._measures import MEASURES
-from microlib.focus.multiscale._depth import RULES, multiscale_depth
-from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._depth import RULES, Settings, multiscale_depth
+from tests.focus.scenes import NAMES
 from tests.scenes import straight_step, tilted_plane
 
 #: Frames of every stack, one step apart; blur grows by 1 px a step.
@@ -104,7 +103,7 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
 PLAIN = "SML 9×9, three points"
 METHODS: dict[str, Callable[[NDArray], NDArray]] = {
     f"{name.upper()} {side}×{side}, three points": _three_points(name, window=side)
-    for name in MEASURES
+    for name in NAMES[1:]
     for side in (5, 9)
 } | {
     "Tenengrad 9×9, three points": _three_points(_tenengrad),

@@ -20,7 +20,7 @@ from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.disc_blur import disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus._measures import MEASURES
+from tests.focus.scenes import NAMES
 
 #: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
 #: used while constants were chosen.
@@ -271,7 +271,7 @@ def thin_bar(seed: int, width: int) -> tuple[Scene, NDArray]:
 def others() -> pd.DataFrame:
     """Return shares of certain depths on bare ground, errors of asymmetric peaks, and thin bars."""
     rows = []
-    for measure in ("multiscale", *MEASURES):
+    for measure in NAMES:
         for quality in (65, 85, 95):
             share = []
             for seed in SEEDS:

@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import ndimage
 
 from microlib.focus import depth_from_focus, sum_modified_laplacian
-from microlib.focus._measures import MEASURES
-from microlib.focus.multiscale import _axis, _measure
+from tests.focus.scenes import MEASURES
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:
@@ -73,35 +70,6 @@ def test_sml_equals_scipy_filter_for_windows_larger_than_the_image(dtype, window
     laplacian = sum_modified_laplacian(image, window=1, step=2).astype(float)
     peer = ndimage.uniform_filter(laplacian, window, mode="mirror") * window**2
     np.testing.assert_allclose(found, peer, rtol=1e-6)  # float32
-
-
-@settings(deadline=None, max_examples=25)
-@given(seed=st.integers(0, 2**32 - 1), shift=st.integers(0, 100))
-def test_sml_ignores_brightness_and_grows_with_contrast(seed, shift):
-    image = np.random.default_rng(seed).integers(0, 50, (12, 12)).astype(np.uint8)
-    once = sum_modified_laplacian(image).astype(int)
-    np.testing.assert_array_equal(sum_modified_laplacian(image + np.uint8(shift)), once)
-    np.testing.assert_array_equal(sum_modified_laplacian(2 * image), 2 * once)
-
-
-def test_mean_second_difference_of_noise_equals_noise_gain():
-    noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
-    for sigma in (0.5, 0.8, 1.0):
-        found = np.add(*_measure.abs_second_derivatives(noise, sigma)).mean()
-        # 160000 pixels, some 10000 independent: 1 %; a Gaussian of few taps is a bit narrower.
-        assert found == pytest.approx(_measure.noise_gain(sigma), rel=0.03)
-
-
-def test_noise_level_is_that_of_untextured_ground():
-    rng = np.random.default_rng(4)
-    for sigma in (2.0, 5.0):
-        frame = 128 + sigma * rng.standard_normal((200, 200))
-        frame[:, :150] += 40 * rng.standard_normal((200, 150))
-        seen = _axis.sample_tiles(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
-        found = _axis.noise_level(seen)
-        # The quietest twentieth lies two scatters of a 3 px window below the mean.
-        assert 0.7 * sigma < found < 1.1 * sigma
-    assert _axis.noise_level(_axis.sample_tiles(np.zeros((32, 32), np.float32))) > 0
 
 
 # --- Laws of every focus measure that has a name -------------------------------------------------

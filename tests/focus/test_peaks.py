@@ -1,12 +1,14 @@
-"""The peak of a profile against (3.13), against exact Gaussians, and against its own laws."""
+"""The three-point peak against (3.13), and the parts of the default measure one by one."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from microlib import synthetic
 from microlib.focus import three_point_peak
-from microlib.focus.multiscale._fit import fit_peaks
+from microlib.focus.multiscale import _axis, _fit, _measure, _relief, _settings
+from tests.focus.scenes import gaussian_blur, inner, rms
 
 
 @settings(deadline=None, max_examples=100)
@@ -33,7 +35,7 @@ def test_peak_of_gaussian_profile_is_exact(center, width, gaps, falling):
     seven = np.where((frames >= 0) & (frames <= 6), profile[np.clip(frames, 0, 6)], 0)
     window = seven[:, None, None].astype(np.float32)
     steps = np.abs(positions - positions[0])
-    found = fit_peaks(window, index, steps)[0][0, 0]
+    found = _fit.fit_peaks(window, index, steps)[0][0, 0]
     # A fit divides by the third and fourth moments of the frames that have a weight.
     assert found == pytest.approx(abs(center - positions[0]), abs=5e-4)
 
@@ -72,15 +74,67 @@ def test_fit_peaks_equals_polyfit_with_documented_weights():
         profile = 1 / (1 + ((steps - center) / 1.7) ** 2) + 0.03 * rng.random(13)
         best = int(profile.argmax())
         window = profile[best - 3 : best + 4, None, None].astype(np.float32)
-        found = fit_peaks(window, np.full((1, 1), best, np.uint16), steps)[0][0, 0]
+        found = _fit.fit_peaks(window, np.full((1, 1), best, np.uint16), steps)[0][0, 0]
         assert found == pytest.approx(documented_fit(profile, steps, best, 3), abs=1e-4)
 
 
-@pytest.mark.parametrize("kind", [">f4", "<f2", ">f8", "longdouble", "int64", ">u2"])
-def test_three_point_peak_accepts_any_real_dtype(kind):
-    profile = np.rint(1000 * np.exp(-((np.arange(5.0) - 2.25) ** 2) / 8))
-    window, index = profile[1:4, None, None], np.full((1, 1), 2)
-    expected = three_point_peak(window, index, np.arange(5.0))
-    found = three_point_peak(window.astype(kind), index.astype(">i4"), np.arange(5.0))
-    # Whole numbers up to 1000, which all kinds hold.
-    assert found == expected
+# --- The noise of a frame, and the axis ----------------------------------------------------------
+
+
+def test_mean_second_difference_of_noise_equals_noise_gain():
+    noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
+    for sigma in (0.5, 0.8, 1.0):
+        found = np.add(*_measure.abs_second_derivatives(noise, sigma)).mean()
+        # 160000 pixels, some 10000 independent: 1 %; a Gaussian of few taps is a bit narrower.
+        assert found == pytest.approx(_measure.noise_gain(sigma), rel=0.03)
+
+
+def test_noise_level_is_that_of_untextured_ground():
+    rng = np.random.default_rng(4)
+    for sigma in (2.0, 5.0):
+        frame = 128 + sigma * rng.standard_normal((200, 200))
+        frame[:, :150] += 40 * rng.standard_normal((200, 150))
+        seen = _axis.sample_tiles(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        # The quietest twentieth lies two scatters of a 3 px window below the mean.
+        assert 0.7 * sigma < _axis.noise_level(seen) < 1.1 * sigma
+    assert _axis.noise_level(_axis.sample_tiles(np.zeros((32, 32), np.float32))) > 0
+
+
+@pytest.mark.parametrize("deviation", [2.0, 4.5])
+def test_peak_width_of_gaussian_profiles_is_their_area_over_height(deviation):
+    """Contrast that is a Gaussian of the frame gives such profiles, 2.51 deviations wide."""
+    texture = synthetic.mixed_texture((120, 140), 5, mean=0.0, std=20.0)
+    frames = np.exp(-0.5 * ((np.arange(60.0) - 27) / deviation) ** 2)
+    tiles = [_axis.sample_tiles(np.float32(texture * contrast)) for contrast in frames]
+    assert _axis.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * deviation, rel=0.01)
+
+
+def test_illumination_drift_bias_is_the_shift_of_a_gaussian_by_light():
+    """A measure that grows with the square of the light has its vertex nearer to the light."""
+    z, fine, deviation = np.arange(15.0), np.linspace(0, 14, 140001), 1.7
+    light = 90 * 1.06**fine
+    peak = fine[np.argmax(light**2 * np.exp(-((fine - 7) ** 2) / (2 * deviation**2)))]
+    bias = _axis.illumination_drift_bias(90 * 1.06**z, deviation)
+    np.testing.assert_allclose(bias[3:-3], peak - 7, atol=2e-4)  # steps of 1e-4
+
+
+# --- Relief ------------------------------------------------------------------------------------
+
+
+def test_find_relief_keeps_what_both_directions_show_and_drops_what_one_shows():
+    rng, shape, settings = np.random.default_rng(6), (120, 150), _settings.Settings()
+    y, x = np.indices(shape, np.float32)
+    waves, squared = 0.6 * np.sin(x / 2) * np.sin(y / 2.5), 1 / 2**2 + 1 / 2.5**2
+    # Smooth as the noise of a measure is; of a standard deviation of 1 step.
+    rough = [gaussian_blur(np.float32(rng.standard_normal(shape)), 1.0) for _ in range(2)]
+    noise = np.array([image / image.std() for image in rough])
+    found, half_difference = _relief.find_relief(*(0.03 * noise + waves), 0 * x + 1, settings)
+    # The coarsest mean of 2.8 px keeps a share of the waves, and the rest is divided by an MTF.
+    gain = np.exp(settings.mtf_correction * squared) * (1 - np.exp(-squared * 2.8**2 / 2))
+    assert np.polyfit(waves.ravel(), found.ravel(), 1)[0] == pytest.approx(gain, rel=0.03)
+    coarse = gaussian_blur(0.03 * (noise[0] - noise[1]) / 2, 2.8)
+    assert rms(inner(half_difference - coarse)) < 0.15 * rms(coarse)  # two boxes for a Gaussian
+    noisy, _ = _relief.find_relief(*(0.3 * noise + waves), 0 * x + 1, settings)
+    assert rms(noisy - waves) < 0.85 * rms(0.3 * noise.mean(axis=0))
+    flat, _ = _relief.find_relief(*(0.3 * noise), 0 * x + 1, settings)
+    assert rms(flat) < 0.01

@@ -17,7 +17,7 @@ from microlib.focus import (
     smooth_depth,
     sum_modified_laplacian,
 )
-from microlib.focus._measures import MEASURES
+from tests.focus.scenes import NAMES, inner, rms, stack_of
 from tests.laws import (
     NUMBER,
     SAME,
@@ -37,7 +37,7 @@ Z = 100 - np.array([0.0, 9, 20, 31, 39, 50, 62, 70, 81, 90])
 TRUTH = 40 + tilted_plane(SHAPE, 0.3, 0.2)
 TRUTH[:, 35:] += 22
 TEXTURE = synthetic.mixed_texture(SHAPE, np.random.default_rng(4))
-STACK = synthetic.focal_stack(TEXTURE, TRUTH, Z, blur_rate=0.1, noise=1.0, rng=5).astype(float)
+STACK = stack_of(TRUTH, Z, texture=TEXTURE, rate=0.1, noise=1.0, seed=5).astype(float)
 HOLED = np.where(np.indices(SHAPE).sum(axis=0) % 11 == 3, np.nan, TRUTH)
 WINDOW = np.random.default_rng(6).uniform(1, 2, (3, *SHAPE))
 WINDOW[1] += 2
@@ -92,7 +92,7 @@ def test_law_holds(law, name):
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
-    for measure in ("multiscale", *MEASURES):
+    for measure in NAMES:
         plain = depth_from_focus(STACK, Z, measure=measure).depth
         seen = [np.ascontiguousarray(view.image(frame)) for frame in STACK]
         off = np.abs(depth_from_focus(seen, Z, measure=measure).depth - view.image(plain))
@@ -121,56 +121,59 @@ def test_xarray_coordinates_equal_positions_in_file(tmp_path):
     np.testing.assert_array_equal(maps.depth.values[y, x], found.depth[y, x])
 
 
-@pytest.mark.parametrize("count", [8, 11, 41])
-def test_depth_uncertainty_matches_error_for_any_number_of_frames(count):
-    """Within the limits of benchmarks/focus_depth.py, a half more for few draws."""
+@pytest.mark.parametrize(("count", "least"), [(8, 0.4), (11, 0.7), (41, 0.7)])
+def test_depth_uncertainty_matches_error_for_any_number_of_frames(count, least):
+    """Within the limits of benchmarks/focus_depth.py, a half more for few draws.
+
+    Of 8 frames peaks are narrow: half of their peak locking is stated, twice what this texture has.
+    """
     z = 100 - np.linspace(0, 40, count) ** 1.02
-    height = 80 + tilted_plane((88, 108), 0.08, 0.05)
-    ratios = []
+    height, ratios = 80 + tilted_plane((88, 108), 0.08, 0.05), []
     for seed in range(3):
-        texture = synthetic.mixed_texture(height.shape, np.random.default_rng(seed))
-        stack = synthetic.focal_stack(texture, height, z, blur_rate=0.25, noise=4.0, rng=seed)
-        found = depth_from_focus(stack, z)
-        parts = [part[10:-10, 10:-10] for part in (found.depth - height, found.uncertainty)]
-        ratios.append(np.divide(*(np.sqrt(np.mean(part**2)) for part in parts)))
-    assert 0.7 < np.mean(ratios) < 1.5
+        found = depth_from_focus(stack_of(height, z, rate=0.25, noise=4.0, seed=seed), z)
+        ratios.append(rms(inner(found.depth - height)) / rms(inner(found.uncertainty)))
+    assert least < np.mean(ratios) < 1.5
 
 
 def test_frames_can_be_used_again_after_interruption():
-    def fail(done, count):
-        raise InterruptedError
-
     def use(frames):
         return [depth_from_focus(frames, Z, **how).depth for how in ({}, {"register": True})]
 
-    def interrupted(frames):
+    def interrupted(frames, last):
+        calls = []
+
+        def stop(done, count):
+            calls.append(done)
+            if done >= last:
+                raise InterruptedError
+
         with pytest.raises(InterruptedError):
-            depth_from_focus(frames, Z, progress=fail)
+            depth_from_focus(frames, Z, progress=stop, workers=2)
+        assert max(calls[:-1]) < last
 
     hold_same_as_new(
         lambda: list(STACK.astype(np.uint8)),
         use,
-        interrupted,
+        partial(interrupted, last=3),
+        partial(interrupted, last=len(Z) + 1),
         lambda frames: depth_from_focus(frames, Z[:4]),
         use,
     )
 
 
-@pytest.mark.parametrize("levels", [1, 200, 1 / 255])
-def test_untextured_ground_has_no_depth_in_any_unit(levels):
+@pytest.mark.parametrize(("levels", "kind"), [(1, "u1"), (200, "u2"), (1 / 255, "f4")])
+def test_untextured_ground_has_no_depth_in_any_unit(levels, kind):
     """Not from noise, and not from the rounding to whole grey levels where that is all there is."""
     texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
     gradient = np.linspace(90, 110, 100)  # which rounds to terraces
-    kind = {1: np.uint8, 200: np.uint16}.get(levels, np.float32)
+    z = Z if kind != "u2" else np.linspace(0, 81, 60)
     for ground, noise in ((gradient, 0.0), (100.3, 0.2), (gradient, 0.15), (gradient, 2.0)):
         texture[:, 60:] = ground
-        rng = np.random.default_rng(3)
         height = np.full(texture.shape, 41.0)
-        frames = synthetic.focal_stack(texture, height, Z, blur_rate=0.04, noise=0, rng=rng)
-        frames = levels * np.asarray(frames, float)
-        frames += noise * levels * rng.standard_normal(frames.shape)
-        frames = np.rint(frames) if kind != np.float32 else frames
-        depth = depth_from_focus(frames.clip(0).astype(kind), Z).depth
+        frames = levels * stack_of(height, z, texture=texture, rate=0.04, noise=0.0).astype(float)
+        frames += noise * levels * np.random.default_rng(3).standard_normal(frames.shape)
+        frames = frames if kind == "f4" else np.rint(frames)
+        depth = depth_from_focus(frames.clip(0).astype(kind), z).depth
         assert np.isfinite(depth[8:-8, 8:45]).mean() > 0.98
         assert np.isfinite(depth[:, 110:]).mean() < 0.01
 
