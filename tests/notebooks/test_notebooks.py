@@ -1,7 +1,5 @@
 """The notebooks read as articles, recorded what the book says, and fail when they should."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil
@@ -15,6 +13,7 @@ from compendium import ledger, run
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
+GUIDES = [path for path in NOTEBOOKS if path.stem.startswith("07_guide_")]
 #: What has no unit, as an axis names it.
 PURE = {
     "grey value", "step", "frame", "loop gain g", "recomputed / reported", "focus measure F",
@@ -53,6 +52,13 @@ def test_notebook_binds_each_name_once(path: Path) -> None:
     every = [name for cell in code(path) for name in bound(cell.source)]
     twice = sorted({name for name in every if every.count(name) > 1} - allowed)
     assert not twice, twice
+
+
+@pytest.mark.parametrize("path", GUIDES, ids=lambda path: path.stem)
+def test_parameters_of_guide_have_comments_and_keep_their_values(path: Path) -> None:
+    first, *others = (cell.source.replace("%xmode Minimal", "") for cell in code(path))
+    assert all("  # " in line for line in first.splitlines())
+    assert not set(bound(first)) & {name for source in others for name in bound(source)}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

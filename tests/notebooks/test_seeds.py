@@ -1,7 +1,5 @@
 """Chapters 2, 3 and 5 hold with seeds that nobody chose. Minutes: run with ``-m seeds``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
