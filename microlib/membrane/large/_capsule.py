@@ -130,8 +130,6 @@ def indent_capsule(
     The wall is wrinkled where its hoop stress would be negative (relaxed energy of tension-field
     theory). In the middle of the plate both stresses may vanish, and the wall is slack there.
 
-    A solution is returned only if its virtual work for a uniform scaling is balanced to 1e-5.
-
     References
     ----------
     A. Patil, A. Nordmark, A. Eriksson, *Instabilities of wrinkled membranes with pressure

@@ -15,7 +15,6 @@ radius, the rim radius a = √(F/πp).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -236,10 +235,6 @@ class CapsuleProblem(BoundaryValueProblem):
             found.append(segment(rho, rate, zone.r, z, horizontal, *load))
         return found
 
-    def shape_rates(self, x: Array, y_rate: Array) -> list[tuple[Any, Any]]:
-        contact, side, dimple = Zones.unpack(y_rate)
-        return [(contact.r, np.zeros_like(x)), (side.r, side.z), (dimple.r, dimple.z)]
-
     def right_hand_side(self, x: Array, y: Array, k: Any = None) -> Array:
         rates = []
         for part in self.segments(x, y, k):
@@ -320,7 +315,7 @@ class CapsuleProblem(BoundaryValueProblem):
         return by_state, by_parameter
 
     def solve_from(self, guess: Guess, tolerance: float = first_tolerance) -> Solved | None:
-        """Return a verified solution, with a slack middle if a taut one would be compressed."""
+        """Return a solution, with a slack middle if a taut one would be compressed."""
         solution = self.collocate(guess, tolerance)
         if solution is None or (u := self.unpack(solution.p)).middle_arc <= 0:
             return None
@@ -330,7 +325,7 @@ class CapsuleProblem(BoundaryValueProblem):
             return slack.solve_from(self._slack_guess(solution))
         if tolerance > self.tolerance:
             solution = self.collocate((solution.x, solution.y, solution.p))
-        return self.verify(solution)
+        return None if solution is None else (self, solution)
 
     def _slack_guess(self, solution: Any) -> Guess:
         """Return a guess with a slack middle from a solution with a compressed taut one."""
@@ -343,13 +338,6 @@ class CapsuleProblem(BoundaryValueProblem):
         contact = ContactZone(r, np.maximum(horizontal, 0.0))
         # `middle_arc` is the last of the parameters of the slack problem.
         return solution.x, zones._replace(contact=contact).pack(), np.append(solution.p, middle_arc)
-
-    def continuation(self) -> Iterator[CapsuleProblem]:
-        """Yield growing forces, from one for which every capsule converged."""
-        if isinstance(self.given, PrescribedForce):
-            for force in np.geomspace(0.03, self.given.force, 14):
-                given = replace(self.given, force=float(force))
-                yield replace(self, given=given, middle=TautMiddle())
 
     def continue_from(self, solved: CapsuleProblem, solution: Any) -> tuple[CapsuleProblem, Guess]:
         """Return this problem and its guess from the solution of another problem."""

@@ -30,10 +30,6 @@ class Law(ABC):
         """Return the nominal stresses of two principal stretches, without wrinkling."""
 
     @abstractmethod
-    def uniaxial_stress(self, stretch: Array) -> Array:
-        """Return the nominal stress of a stretch whose transverse direction is free of stress."""
-
-    @abstractmethod
     def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
         """Return meridian stretch and hoop stress of a meridian stress and hoop stretch.
 
@@ -43,16 +39,6 @@ class Law(ABC):
     def equibiaxial_stress(self, stretch: float) -> float:
         """Return the nominal stress of a stretch that is the same in all directions."""
         return float(self.biaxial_stress(np.array(stretch), np.array(stretch))[0])
-
-    def tension_field_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return the nominal stresses of two principal stretches by the relaxed energy."""
-        along, across = self.biaxial_stress(first, second)
-        uniaxial = self.uniaxial_stress(first), self.uniaxial_stress(second)
-        wrinkled = (across < 0) & (uniaxial[0] > 0), (along < 0) & (uniaxial[1] > 0)
-        slack = (first <= 1) & (second <= 1)
-        along = np.select([slack, *wrinkled], [0.0, uniaxial[0], 0.0], along)
-        across = np.select([slack, *wrinkled], [0.0, 0.0, uniaxial[1]], across)
-        return along, across
 
 
 class Hooke(Law):
@@ -67,9 +53,6 @@ class Hooke(Law):
     def biaxial_stress(self, first: Array, second: Array) -> tuple[Array, Array]:
         e1, e2, nu = first - 1, second - 1, self.poisson_ratio
         return (e1 + nu * e2) / (1 - nu**2), (e2 + nu * e1) / (1 - nu**2)
-
-    def uniaxial_stress(self, stretch: Array) -> Array:
-        return stretch - 1
 
     def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
         e2, nu = hoop - 1, self.poisson_ratio
@@ -95,9 +78,6 @@ class MooneyRivlin(Law):
         along = 2 * (self.c1 + self.c2 * second**2) * (first - 1 / (first**3 * second**2))
         across = 2 * (self.c1 + self.c2 * first**2) * (second - 1 / (second**3 * first**2))
         return along, across
-
-    def uniaxial_stress(self, stretch: Array) -> Array:
-        return 2 * (self.c1 + self.c2 / stretch) * (stretch - stretch**-2)
 
     def invert_meridian_stress(self, stress: Array, hoop: Array) -> tuple[Array, Array]:
         # N₁/(2(C₁ + C₂λ₂²)) = λ₁ − λ₁⁻³λ₂⁻², solved for λ₁.
