@@ -16,7 +16,7 @@ import signal
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import count, zip_longest
 from pathlib import Path
@@ -65,25 +65,9 @@ def grid(rows: int = 6, columns: int = 7, pitch: float = 200.0) -> np.ndarray:
 
 
 @cache
-def lines() -> np.ndarray:
-    noise = np.random.default_rng(0).normal(0, 2, (40, 120))
-    return 190 - 120 * np.exp(-((np.arange(120) % 12 - 5.5) ** 2) / 4) + noise
-
-
-@cache
-def circles() -> np.ndarray:
-    return synthetic.render_circles(replace(scope(), alpha=0.0, beta=0.0))
-
-
-@cache
 def charuco() -> np.ndarray:
     markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
-
-
-@cache
-def squares() -> np.ndarray:
-    return synthetic.render_squares(replace(scope(), alpha=0.0, beta=0.0))
 
 
 @cache
@@ -127,13 +111,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "pixel_size": 9.9, "image_size": (300, 260),
     },
     "calibration.detect_charuco": lambda: {"image": charuco()},
-    "calibration.detect_circles": lambda: {"image": circles()},
-    "calibration.detect_squares": lambda: {"image": squares()},
-    "calibration.detect_pattern": lambda: {"image": squares(), "marks": "squares"},
-    "calibration.detect_micrometer": lambda: {"image": lines()},
-    "calibration.detection._micrometer.Micrometer.um_per_pixel": lambda: {
-        "self": calibration.detect_micrometer(lines()), "division": 10.0,
-    },
     "embryo._boundary.Boundary.without_probe": lambda: {
         "self": outline(), "image": egg().image
     },

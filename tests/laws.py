@@ -58,7 +58,9 @@ import microlib
 from microlib.membrane import SmallSlopeWarning
 
 #: By how much each unit is changed: no power of two, and no product of few others.
-FACTORS = {"um": 1.7, "px": 0.6, "s": 2.3, "uN": 0.45, "grey": 1.37}
+FACTORS = {"um": 1.7, "px": 0.6, "s": 2.3, "uN": 0.45, "grey": 1 / 255}
+#: Grey levels are also those of 16 bits.
+SIXTEEN_BITS = 257.0
 #: Each origin's unit, where it is, and by how much it is moved.
 ORIGINS = {
     "t0": ("s", 3.7, 11.9), "x0": ("px", 12.0, 31.0), "y0": ("px", -5.0, 17.0),
@@ -118,8 +120,11 @@ class Units:
     Both differ from the plain ones where `changed` and `moved` name them.
     """
 
-    def __init__(self, changed: Collection[str] = (), moved: Collection[str] = ()) -> None:
+    def __init__(
+        self, changed: Collection[str] = (), moved: Collection[str] = (), **factors: float
+    ) -> None:
         self.changes, self.used = {*changed, *moved}, set[str]()
+        self.factors = FACTORS | factors
 
     def __getattr__(self, name: str) -> float:
         if name == "MPa":
@@ -128,7 +133,7 @@ class Units:
         if name in ORIGINS:
             unit, place, way = ORIGINS[name]
             return (place + way * (name in self.changes)) * getattr(self, unit)
-        return FACTORS[name] if name in self.changes else 1.0
+        return self.factors[name] if name in self.changes else 1.0
 
 
 @dataclass(frozen=True)
@@ -242,6 +247,13 @@ def scales_with_units(name: str, row: Row) -> None:
         compare(name, row, Units(changed=changed))
 
 
+def scales_with_16_bits(name: str, row: Row) -> None:
+    """Grey levels of a camera of 16 bits give what those of 8 bits and those up to 1 give."""
+    used, _, _ = plain_call(name, row)
+    if "grey" in used - {*row.fixed}:
+        compare(name, row, Units(changed={"grey"}, grey=SIXTEEN_BITS))
+
+
 def follows_origins(name: str, row: Row) -> None:
     """Places and times that are counted from elsewhere give the same ones counted from there."""
     used, _, _ = plain_call(name, row)
@@ -264,6 +276,7 @@ class Row:
     within: float = 1e-9
     laws: tuple[Callable[[str, Row], None], ...] = (
         scales_with_units,
+        scales_with_16_bits,
         follows_origins,
         second_call_gives_the_same,
     )
@@ -274,7 +287,7 @@ class Row:
 
 
 #: The laws of what goes on with each call, as a filter does.
-GOES_ON = (scales_with_units, follows_origins)
+GOES_ON = (scales_with_units, scales_with_16_bits, follows_origins)
 
 
 class TestedBy:

@@ -10,7 +10,20 @@ from scipy.ndimage import gaussian_filter
 
 from microlib import synthetic
 from microlib.microscope import Microscope
-from tests.laws import NUMBER, VIEWS, MPa, Row, Units, grey, laws_of, um, uN
+from tests.laws import (
+    NUMBER,
+    VIEWS,
+    MPa,
+    Row,
+    Units,
+    follows_origins,
+    grey,
+    laws_of,
+    scales_with_units,
+    second_call_gives_the_same,
+    um,
+    uN,
+)
 from tests.test_microscope import pose
 
 SHAPE = (21, 34)
@@ -69,6 +82,8 @@ EMBRYO = {
 WARPED = {"first": NUMBER, "second": NUMBER, "box": NUMBER, "corners": NUMBER}
 #: Grey levels in single precision, or with the scene's distances in pixels of 1e-12 behind them.
 SINGLE = {"within": 1e-5}
+#: Pictures have grey levels up to 255.
+EIGHT_BITS = {"laws": (scales_with_units, follows_origins, second_call_gives_the_same)}
 #: One grey level of 255, where the last digit of a scene decides what it is rounded to.
 ROUNDED = {"within": 1 / 250}
 
@@ -80,7 +95,7 @@ LAWS = {
         within=1e-7),
     "synthetic.ImagingConditions": Row(lambda u: vars(imaging(u)),
         {**dict.fromkeys(("blur", "vignetting", "gradient"), NUMBER),
-        **dict.fromkeys(("dark", "bright", "noise"), grey)}),
+        **dict.fromkeys(("dark", "bright", "noise"), grey)}, **EIGHT_BITS),
     "synthetic.cone": Row(lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "radius": 8.0}, um),
     "synthetic.embryo_image": Row(lambda u: {"embryo": embryo(u), "rng": 2,
         "pixel_size": 9.0 * u.um, "shape": (150, 170), "center": (85.3, 12.2), "tilt": 0.1},
@@ -99,9 +114,9 @@ LAWS = {
         "width": 25.0}, um),
     "synthetic.paraboloid": Row(lambda u: {"shape": SHAPE, "height": 9.0 * u.um}, um),
     "synthetic.render_circles": Row(lambda u: {**pattern(u), "radius": 60.0 * u.um,
-        "pitch": 200.0 * u.um}, grey, **SINGLE),
+        "pitch": 200.0 * u.um}, grey, **SINGLE, **EIGHT_BITS),
     "synthetic.render_squares": Row(lambda u: {**pattern(u), "side": 110.0 * u.um}, grey,
-        **SINGLE),
+        **SINGLE, **EIGHT_BITS),
     "synthetic.sphere_on_plane": Row(lambda u: {"shape": SHAPE, "radius": 30.0 * u.um,
         # a root near zero at the edge of the ball
         "pixel_size": 4.0 * u.um, "roughness": 1.5 * u.um, "rng": 0}, um, within=1e-6),
