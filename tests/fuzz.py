@@ -30,7 +30,6 @@ from microlib import (
     embryo,
     io,
     membrane,
-    microscope,
     servoing,
     synthetic,
 )
@@ -46,12 +45,6 @@ _KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
 atexit.register(_KEPT.cleanup)
 FOLDER = Path(_KEPT.name)
 _NUMBER = count()
-
-
-def scope() -> microscope.Microscope:
-    return microscope.Microscope(
-        200000.0, 126000.0, 79380.0, alpha=0.02, beta=0.01, image_size=(300, 260)
-    )
 
 
 @cache
@@ -99,17 +92,13 @@ def stack() -> np.ndarray:
 
 @cache
 def calibrated() -> calibration.Calibration:
-    return calibration.calibrate(**CALLS["calibration.calibrate"]())
+    return calibration.calibrate(**valid_call("calibration.calibrate"))
 
 
 #: Arguments, made anew for each call, that the table of the room does not have.
 CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
-    "calibration.calibrate": lambda: {
-        "world": grid(), "image": scope().project(grid()), "focal_length": 126000.0,
-        "pixel_size": 9.9, "image_size": (300, 260),
-    },
     "calibration.detect_charuco": lambda: {"image": charuco()},
     "embryo._boundary.Boundary.without_probe": lambda: {
         "self": outline(), "image": egg().image

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,15 +32,19 @@ SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.cell
 FLAT = SCOPE.to_objective(WORLD)
 
 
+def seen(u):
+    """The arguments of a calibration."""
+    sensor = SENSOR | {"pixel_size": (9.9 * u.um, 8.3 * u.um)}
+    return {"world": WORLD * u.um, "image": IMAGE, "focal_length": 126e3 * u.um, **sensor}
+
+
 @cache
 def calibrated(um=1.0):
-    sensor = SENSOR | {"pixel_size": (9.9 * um, 8.3 * um)}
-    return calibrate(WORLD * um, IMAGE, focal_length=126e3 * um, **sensor)
+    return calibrate(**seen(SimpleNamespace(um=um)))
 
 
-def spans(um):
+def spans(found):
     """The numbers of a calibration; the fields of `Calibration` have the units of parameters."""
-    found = calibrated(um)
     intervals = {
         name: np.array(found.interval(name)) for name in ("magnification", "alpha", "distortion")
     }
@@ -48,16 +53,11 @@ def spans(um):
 
 #: Where a search ends, of the largest residual.
 SEARCHED = 1e-5
-CALIBRATED = Row(
-    lambda u: {"um": u.um},
-    {
-        **dict.fromkeys(("magnification", "alpha", "residuals"), NUMBER),
-        "distortion": 1 / um**2,
-        "plane_residuals": um,
-    },
-    within=SEARCHED,
-    call=spans,
-)
+SPANS = {
+    **dict.fromkeys(("magnification", "alpha", "residuals"), NUMBER),
+    "distortion": 1 / um**2,
+    "plane_residuals": um,
+}
 #: The middle of a mark is found to some 1e-6 px from grey levels in single precision.
 SINGLE = 1e-5
 DETECTED = dict.fromkeys(("points", "sigma", "positions", "side", "misfit"), NUMBER) | {
@@ -74,8 +74,12 @@ def photographed(u, shown):
 
 
 LAWS = {
-    "calibration.calibrate": CALIBRATED,
-    "calibration.Calibration": CALIBRATED,
+    "calibration.calibrate": Row(
+        seen, SPANS, within=SEARCHED, call=lambda **given: spans(calibrate(**given))
+    ),
+    "calibration.Calibration": Row(
+        lambda u: {"found": calibrated(u.um)}, SPANS, within=SEARCHED, call=spans
+    ),
     "calibration.Calibration.interval": Row(
         lambda u: {"self": calibrated(u.um), "parameter": "tx", "level": 0.9}, um, within=SEARCHED
     ),
