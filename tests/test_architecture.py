@@ -166,7 +166,7 @@ def test_public_names_are_documented(name):
 
 def test_every_public_name_has_a_row_of_laws():
     """In the table of its room, as the docstring of tests/laws.py says."""
-    assert tables().keys() == set(public())
+    assert tables().keys() >= set(public())
 
 
 def test_import_loads_only_dependencies_of_the_library():
