@@ -266,13 +266,15 @@ def _refine_on_wall(
     # Both sides run from left to right: rotated clockwise on the screen, the tangent points inside.
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
     x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * offsets
-    profiles = map_coordinates(spline_filter(grey, 3), [y, x], order=3, prefilter=False)
+    profiles = map_coordinates(
+        spline_filter(grey, 3), [y, x], order=3, mode="nearest", prefilter=False
+    )
     # Samples within three standard deviations of the probe's blur are not used: two bias the flank,
     # and more remove its steepest part.
     clearance = max(CLEARANCE, 3 * blur)
     beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + MARGIN)
-    wall = locate_wall(profiles, offsets / scale, weights=clear)
+    wall = locate_wall(profiles, offsets / scale, weights=clear, pixel=1 / scale)
     points = start + normal * scale * wall.position
     good = np.isfinite(wall.position) & (wall.std < 6 * np.nanmedian(wall.std))
     on_left = np.arange(good.size) < smooth[0].shape[1]

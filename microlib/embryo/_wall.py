@@ -30,7 +30,9 @@ class WallPosition(NamedTuple):
     blur: float  # standard deviation of the blur that all profiles have
 
 
-def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPosition:
+def locate_wall(
+    profiles: Array, offsets: Array, *, weights: NDArray, pixel: float = 1.0
+) -> WallPosition:
     r"""Fit a blurred wall to each of a set of profiles.
 
     .. math:: I(d) = b_0 + b_1 \Phi\left(\frac{d-\delta}{s}\right)
@@ -44,6 +46,8 @@ def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPos
         Place of each sample along the profile, ascending, in px.
     weights : ndarray, shape (n, m)
         1 for samples to use, 0 for samples to leave out.
+    pixel : float, optional
+        Size of a pixel in the unit of the offsets. Samples closer together are not independent.
 
     Returns
     -------
@@ -89,7 +93,11 @@ def locate_wall(profiles: Array, offsets: Array, *, weights: NDArray) -> WallPos
         return _gauss_newton(*part, blur, start[::4])[2]
 
     blur = float(minimize_scalar(cost, bounds=(0.5, 3), method="bounded").x)
-    position, std, _ = _gauss_newton(profiles, offsets, used, blur, start)
+    position, hessian, squares = _gauss_newton(profiles, offsets, used, blur, start)
+    # Samples closer together than a pixel count as samples one pixel apart.
+    independent = min(1.0, float(np.diff(offsets).mean()) / pixel) * used.sum(axis=1)
+    noise = squares / max(float(np.maximum(independent - 4, 0).sum()), 1.0)
+    std = np.sqrt(noise * np.linalg.inv(hessian)[:, 3, 3])
     first = np.where(used, offsets, np.inf).min(axis=1)
     last = np.where(used, offsets, -np.inf).max(axis=1)
     cut_off = (first > position - blur) | (last < position + blur)
@@ -119,7 +127,7 @@ def _fit_linear(
 def _gauss_newton(
     profiles: Array, offsets: Array, used: Array, blur: float, position: Array
 ) -> tuple[Array, Array, float]:
-    """Refine the positions; return them, their standard deviations and the sum of squares."""
+    """Refine the positions; return them, their normal matrices and the sum of squares."""
     position = position.copy()
     for _ in range(5):
         basis, linear, residual = _fit_linear(profiles, offsets, used, blur, position)
@@ -132,9 +140,4 @@ def _gauss_newton(
         # Limited, so that the wall stays within the samples.
         position += np.clip(step, -0.5, 0.5)
         position = np.clip(position, -2 * _SEARCH_RANGE, 2 * _SEARCH_RANGE)
-    squares = float(np.sum(residual**2))
-    noise = squares / max(float(np.maximum(used.sum(axis=1) - 4, 0).sum()), 1.0)
-    # Samples closer together than a pixel are not independent.
-    independent = min(1.0, float(np.diff(offsets).mean()))
-    std = np.sqrt(noise / independent * np.linalg.inv(hessian)[:, 3, 3])
-    return position, std, squares
+    return position, hessian, float(np.sum(residual**2))
