@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from microlib.curvature import Curvature, region_table, surface_curvature
-from tests.laws import NUMBER, SAME, VIEWS, Row, hold_sigma, laws_of, um
+from tests.laws import NUMBER, SAME, VIEWS, Row, laws_of, um
 
 Y, X = np.mgrid[0:31, 0:38] / 10.0
 #: A map without a symmetry, µm on pixels of 2.3 µm.
@@ -56,16 +56,3 @@ def test_curvature_and_regions_follow_flips_and_rotations(view):
     rows, wanted = (t.round({"x": 3, "y": 3}).sort_values(places) for t in (turned, table))
     columns = [*places, "mean", "gaussian"]
     np.testing.assert_allclose(rows[columns], wanted[columns], rtol=1e-9)
-
-
-@pytest.mark.parametrize("size", [3, 5, 9])
-def test_standard_errors_match_scatter(size):
-    """Of maps on pixels of 2.3 µm; pixels further apart than both windows are independent."""
-    noise, rng = 0.01, np.random.default_rng(size)
-    y, x = np.mgrid[0 : 24 * size, 0 : 20 * size] * 2.3
-    smooth = 0.002 * (x - 50) ** 2 - 0.0012 * (y - 60) ** 2 + 0.0011 * x * y
-    true = surface_curvature(smooth, 2.3, size=size)
-    found = surface_curvature(smooth + rng.normal(0, noise, x.shape), 2.3, size=size, noise=noise)
-    apart = (slice(size, -size, 2 * size),) * 2
-    errors = (found.mean - true.mean)[apart].ravel()
-    hold_sigma(errors, found.mean_error[apart].ravel())

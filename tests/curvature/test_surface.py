@@ -1,18 +1,19 @@
-"""H and K against analytic surfaces and sympy, labels against Table 3.1."""
+"""H and K against surfaces of known curvature and convolutions, labels against Table 3.1."""
 
 import warnings
 
 import numpy as np
 import pytest
-import sympy
 from scipy import ndimage
+from scipy.special import comb
 
 from microlib import curvature
 from microlib.curvature import hk_labels, surface_curvature
 
-#: Half side of the test maps and radius of curvature, px. The windows span 13 px; on a radius of
-#: 150 px their bias of K is 0.066 %.
+#: Half side of the maps and radius of curvature, px. The windows span 13 px.
 HALF, RADIUS = 40, 150.0
+#: Largest bias of the windows on these surfaces: 0.04 % of 1/R for H, 0.075 % of 1/R² for K.
+BIAS = 8e-4
 Y, X = np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1].astype(float)
 #: Pixels that are not square, as those of an interferometer.
 SIDES = (1.07, 1.25)
@@ -23,36 +24,9 @@ SURFACES = {
     "cylinder": (np.sqrt(RADIUS**2 - X**2), -0.5 / RADIUS, 0.0, 2),
     "gutter": (-np.sqrt(RADIUS**2 - Y**2), 0.5 / RADIUS, 0.0, 8),
     "saddle": ((X**2 - Y**2) / (2 * RADIUS), 0.0, -1 / RADIUS**2, 6),
+    "turned saddle": (X * Y / RADIUS, 0.0, -1 / RADIUS**2, 6),
     "plane": (0.3 * X - 0.2 * Y, 0.0, 0.0, 5),
 }
-
-
-def monge(expression: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height, H and K of z(x, y) on pixels of `SIDES`, by symbolic fundamental forms."""
-    x, y = sympy.symbols("x y")
-    z = sympy.sympify(expression, locals={"x": x, "y": y})
-    r = sympy.Matrix([x, y, z])
-    rx, ry = r.diff(x), r.diff(y)
-    normal = rx.cross(ry) / sympy.sqrt(rx.cross(ry).dot(rx.cross(ry)))
-    e, f, g = rx.dot(rx), rx.dot(ry), ry.dot(ry)
-    ll, m, n = (normal.dot(d) for d in (r.diff(x, 2), r.diff(x, y), r.diff(y, 2)))
-    area = e * g - f**2
-    forms = z, (e * n - 2 * f * m + g * ll) / (2 * area), (ll * n - m**2) / area
-    places = X * SIDES[0], Y * SIDES[1]
-    return tuple(np.broadcast_to(sympy.lambdify((x, y), f)(*places), X.shape) for f in forms)
-
-
-def test_windows_match_thesis_with_doubled_second_derivative():
-    windows = curvature.curvature_windows(7)
-    np.testing.assert_allclose(windows.smooth * 64, [1, 6, 15, 20, 15, 6, 1], atol=1e-12)
-    np.testing.assert_allclose(windows.mean * 7, np.ones(7), atol=1e-12)
-    np.testing.assert_allclose(windows.slope * 28, [-3, -2, -1, 0, 1, 2, 3], atol=1e-12)
-    printed = np.array([5, 0, -3, -4, -3, 0, 5]) / 84
-    np.testing.assert_allclose(windows.second_derivative, 2 * printed, atol=1e-15)
-    # The proof: t² has the second derivative 2, and the printed window answers 1.
-    t = np.arange(-3, 4)
-    assert printed @ t**2 == pytest.approx(1)
-    assert windows.second_derivative @ t**2 == pytest.approx(2)
 
 
 @pytest.mark.parametrize("size", [3, 5, 7, 11])
@@ -63,49 +37,31 @@ def test_windows_match_least_squares_parabola(size):
     quadratic, linear, _ = np.polyfit(t, values, 2)
     assert windows.second_derivative @ values == pytest.approx(2 * quadratic, abs=1e-12)
     assert windows.slope @ values == pytest.approx(linear, abs=1e-12)
-    assert windows.smooth.sum() == pytest.approx(1)
-
-
-@pytest.mark.parametrize(
-    "expression",
-    [
-        "(x**2 - y**2)/200",  # saddle
-        "x*y/150",  # saddle turned by 45°
-        "sqrt((150 + sqrt(120**2 - x**2))**2 - y**2)",  # crown of a torus: x across the tube
-        "20*cos(x/60)*sin(y/70)",
-        "x**2/300 + y**2/900 + 0.1*x",
-    ],
-)
-def test_curvature_matches_symbolic_surfaces_within_a_percent(expression):
-    height, mean, gaussian = monge(expression)
-    found = surface_curvature(height, SIDES)
-    inner = np.isfinite(found.mean)
-    # Relative to the largest value, because H and K cross zero.
-    assert np.abs(found.mean - mean)[inner].max() < 0.01 * np.abs(mean).max()
-    assert np.abs(found.gaussian - gaussian)[inner].max() < 0.01 * np.abs(gaussian).max()
+    np.testing.assert_allclose(windows.smooth, comb(size - 1, np.arange(size)) / 2 ** (size - 1))
+    np.testing.assert_allclose(windows.mean, 1 / size)
 
 
 def test_separable_windows_match_two_dimensional_convolutions():
-    """The separable code equals S and D applied one after the other, as (3.20) and (3.21) say."""
+    """S and D are applied one after the other, as (3.20) and (3.21) say, on pixels of `SIDES`."""
     w = curvature.curvature_windows(7)
     z = 5 * np.random.default_rng(0).random((31, 29))
     smooth = ndimage.convolve(z, np.outer(w.smooth, w.smooth))
-    zx, zy = (
-        ndimage.convolve(smooth, d) for d in (np.outer(w.mean, w.slope), np.outer(w.slope, w.mean))
-    )
-    zxx, zyy, zxy = (
-        ndimage.convolve(smooth, d)
-        for d in (
-            np.outer(w.mean, w.second_derivative),
-            np.outer(w.second_derivative, w.mean),
-            np.outer(w.slope, w.slope),
+    x_side, y_side = SIDES
+    zx, zy, zxx, zyy, zxy = (
+        ndimage.correlate(smooth, np.outer(along_y, along_x)) / cell
+        for along_y, along_x, cell in (
+            (w.mean, w.slope, x_side),
+            (w.slope, w.mean, y_side),
+            (w.mean, w.second_derivative, x_side**2),
+            (w.second_derivative, w.mean, y_side**2),
+            (w.slope, w.slope, x_side * y_side),
         )
     )
     h = ((1 + zx**2) * zyy - 2 * zx * zy * zxy + (1 + zy**2) * zxx) / (
         2 * (1 + zx**2 + zy**2) ** 1.5
     )
     k = (zxx * zyy - zxy**2) / (1 + zx**2 + zy**2) ** 2
-    found = surface_curvature(z, 1.0)
+    found = surface_curvature(z, SIDES)
     inner = np.s_[6:-6, 6:-6]
     np.testing.assert_allclose(found.mean[inner], h[inner], atol=1e-12)
     np.testing.assert_allclose(found.gaussian[inner], k[inner], atol=1e-12)
@@ -116,13 +72,6 @@ def test_signs_of_h_and_k_give_labels_of_table_3_1():
     assert hk_labels(h, k, 0.5, 0.5).tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
     assert hk_labels([np.nan, 1.0], [1.0, np.nan], 0.5, 0.5).tolist() == [0, 0]
     assert hk_labels([0.5], [-0.5], 0.5, 0.5).tolist() == [5]  # |x| = threshold is zero (3.24)
-
-
-def test_printed_thresholds_label_balls_as_cylinders():
-    """Erratum: K ≤ H², so 0.015 for K asks for |H| above 0.122, four times the threshold of H."""
-    for radius, label in ((9.0, 2), (7.0, 1)):
-        assert hk_labels([-1 / radius], [1 / radius**2], 0.03, 0.015).tolist() == [label]
-        assert hk_labels([-1 / radius], [1 / radius**2], 0.03, 0.03**2).tolist() == [1]
 
 
 def test_clean_labels_replaces_small_regions_by_nearest_region():
@@ -150,9 +99,6 @@ def test_smallest_map_has_one_known_pixel(size):
     # At the vertex, whose second derivatives are 1/200 in heights of 1 over pixels of 2 by 2.
     assert found.mean[size - 1, size - 1] == pytest.approx(1 / 800, rel=1e-9)
     assert found.gaussian[size - 1, size - 1] == pytest.approx(1 / 800**2, rel=1e-9)
-    for short in (bowl[:, :-1], bowl[:-2]):
-        with pytest.raises(ValueError, match=f"height must be at least {side} px on each side"):
-            surface_curvature(short, 2.0, size=size)
 
 
 def test_gaussian_error_matches_first_order_propagation_on_curved_surface():
@@ -213,19 +159,20 @@ def test_regions_are_connected_along_rows_and_columns():
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_curvature_and_labels_match_known_surfaces(name):
-    """H and K to 0.07 % at the top, of a radius of 150 px, and the labels that noise leaves."""
+    """H and K are the same everywhere but on the saddle, and noise leaves the labels."""
     pixel_size = 0.25
     height, mean, gaussian, label = SURFACES[name]
     found = surface_curvature(pixel_size * height, pixel_size)
-    assert found.mean[HALF, HALF] * pixel_size == pytest.approx(mean, abs=7e-4 / RADIUS)
-    curvature_there = found.gaussian[HALF, HALF] * pixel_size**2
-    assert curvature_there == pytest.approx(gaussian, abs=7e-4 / RADIUS**2)
+    place = np.s_[HALF, HALF] if "saddle" in name else np.s_[6:-6, 6:-6]
+    np.testing.assert_allclose(found.mean[place] * pixel_size, mean, atol=BIAS / RADIUS)
+    np.testing.assert_allclose(
+        found.gaussian[place] * pixel_size**2, gaussian, atol=BIAS / RADIUS**2
+    )
     noise = 0.02
     rough = height + noise * np.random.default_rng(5).standard_normal(height.shape)
-    found = surface_curvature(pixel_size * rough, pixel_size, noise=pixel_size * noise)
-    labels = hk_labels(found)
-    # The saddle is a minimal surface at its center only, the further out the less.
-    inner = (labels > 0) & (np.hypot(X, Y) < (30 if name == "saddle" else np.inf))
+    labels = hk_labels(surface_curvature(pixel_size * rough, pixel_size, noise=pixel_size * noise))
+    # Only the center of the saddle is a minimal surface.
+    inner = (labels > 0) & (np.hypot(X, Y) < (30 if "saddle" in name else np.inf))
     assert (labels > 0).sum() == (2 * HALF + 1 - 12) ** 2
     assert np.mean(labels[inner] == label) >= 0.995
 
@@ -270,22 +217,23 @@ def test_noiseless_plane_is_labeled_planar(name, dtype):
     assert (ball[ball > 0] == 1).all()
 
 
-def test_standard_errors_match_scatter_on_non_square_pixels():
+@pytest.mark.parametrize("size", [3, 5, 9])
+def test_standard_errors_match_scatter_on_non_square_pixels(size):
     """H to first order, K to second."""
-    rng = np.random.default_rng(0)
-    maps = rng.normal(0, 0.02, (3, 400, 400))
-    stated = surface_curvature(np.zeros((31, 31)), (1.3, 2.9), size=5, noise=0.02)
-    found = [surface_curvature(z, (1.3, 2.9), size=5) for z in maps]
+    maps = np.random.default_rng(size).normal(0, 0.02, (3, 400, 400))
+    stated = surface_curvature(np.zeros((31, 31)), (1.3, 2.9), size=size, noise=0.02)
+    found = [surface_curvature(z, (1.3, 2.9), size=size) for z in maps]
+    apart = np.s_[20 : -20 : 2 * size, 20 : -20 : 2 * size]
     for field in ("mean", "gaussian"):
-        scatter = np.std([getattr(one, field)[20:-20:5, 20:-20:5] for one in found])
-        # 15 000 windows know their scatter to 1 %.
-        assert getattr(stated, field + "_error")[15, 15] == pytest.approx(scatter, rel=0.03), field
+        values = np.array([getattr(one, field)[apart] for one in found])
+        # Independent windows. The products of K have tails like those of an exponential.
+        freedom = values.size * (1.0 if field == "mean" else 0.3)
+        error = 4 / np.sqrt(2 * freedom)
+        assert getattr(stated, field + "_error")[15, 15] == pytest.approx(values.std(), rel=error)
 
 
 def test_heights_in_another_unit_than_pixels_warn():
     ball = SURFACES["sphere"][0]
-    with pytest.raises(ValueError, match=r"pixel_size must be a number or \(x, y\)"):
-        surface_curvature(ball, (1.0, 1.0, 1.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         surface_curvature(ball, 1.0)

@@ -69,26 +69,18 @@ def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
     assert energies[1] - energies[0] == pytest.approx(work, rel=3e-4)
 
 
-def test_state_satisfies_boundary_conditions_and_force_balance() -> None:
+def test_state_joins_probe_and_rim_with_level_tangent() -> None:
     state = indent_disc(F, modulus=1.3, **DISC)
-    assert state.r[0] == pytest.approx(C)
-    assert state.r[-1] == pytest.approx(A)
-    assert state.z[0] == pytest.approx(-state.depth)
-    assert state.z[-1] == 0
-    assert np.all(np.diff(state.r) > 0)
+    assert (state.r[0], state.r[-1]) == pytest.approx((C, A))
+    assert (state.z[0], state.z[-1]) == (pytest.approx(-state.depth), 0)
     assert state.pressure == pytest.approx(F / (np.pi * A**2))
-    # Level at the rim, as the balance of the pressure has it.
+    # The pressure carries the whole force at the rim.
     slope = (state.z[-1] - state.z[-2]) / (state.r[-1] - state.r[-2])
     assert slope == pytest.approx(0, abs=5e-3)
-    # What the probe's edge carries, from stretches and stresses alone.
-    r, along = state.r[0], state.stresses[0, 0] * H
-    steep = np.gradient(state.z, state.r, edge_order=2)[0]
-    lift = 2 * np.pi * r / state.stretches[1, 0] * along * np.sin(np.arctan(steep))
-    assert lift == pytest.approx(F - state.pressure * np.pi * C**2, rel=2e-3)
 
 
 def test_tight_disc_is_a_linear_spring() -> None:
-    """As a drum: N = E h λ⁻¹(λ − λ⁻⁵)/3 carries F with a logarithmic dimple."""
+    """The stress N = E λ⁻¹(λ − λ⁻⁵)/3 of the pretension carries F, as in a drumhead."""
     small = indent_disc(1e-4, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
     tension = H * (1 - 1.1**-6) / 3
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
@@ -101,30 +93,27 @@ def test_wrinkled_disc_has_no_compressive_stress() -> None:
 
 
 def test_disc_modulus_is_found_near_largest_depth() -> None:
-    """An e-fold softer disc folds, so that no coarse search brackets this one."""
-    settings: dict[str, Any] = {
-        "thickness": 2.573,
-        "probe_half_width": 27.34,
-        "law": "mooney-rivlin",
-        "pretension": 0.0403,
-        "rim_inset": 0.0236,
-    }
-    got = disc_modulus(197.24, 254.8, 121.2, **settings)
-    assert indent_disc(197.24, modulus=got, radius=254.8, **settings).depth == pytest.approx(121.2)
+    """A disc of a third of this modulus folds."""
+    settings: dict[str, Any] = {"thickness": 2.6, "probe_half_width": 27.0, "pretension": 0.04}
+    settings |= {"law": "mooney-rivlin", "rim_inset": 0.024}
+    got = disc_modulus(F, 255.0, 121.2, **settings)
+    assert indent_disc(F, modulus=got, radius=255.0, **settings).depth == pytest.approx(121.2)
 
 
 @pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
-def test_disc_modulus_is_found_for_narrow_probe(narrow: float) -> None:
-    """Where the search from the closed form fails, it begins at a wider probe."""
+@pytest.mark.parametrize("steepness", [0.005, 0.01, 0.02, 0.05, 0.1])
+def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float) -> None:
     settings: dict[str, Any] = {"thickness": H, "law": "hooke", "pressure": 0.0}
     settings["probe_half_width"] = narrow * A
-    for steepness in (0.005, 0.01, 0.02, 0.05, 0.1):
-        for ratio in (0.3, 1 / 3, 0.5):
-            found = disc_modulus(1e-3 * F, A, steepness * A, poisson_ratio=ratio, **settings)
-            if ratio == 1 / 3 and steepness == 0.005:
-                shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (H * (steepness * A) ** 3)
-                # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
-                assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
+    soft, found, stiff = (
+        disc_modulus(1e-3 * F, A, steepness * A, poisson_ratio=ratio, **settings)
+        for ratio in (0.5, 1 / 3, 0.3)
+    )
+    assert soft < found < stiff
+    if steepness == 0.005:
+        shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (H * (steepness * A) ** 3)
+        # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
+        assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
 
 
 def test_depth_below_that_of_slack_disc_raises() -> None:

@@ -28,13 +28,6 @@ def test_textures_have_the_given_contrast_and_scales():
         assert correlation == pytest.approx(np.exp(-(d**2) / (4 * 1.5**2)), abs=0.03)
 
 
-def test_same_seed_gives_the_same_scene():
-    seeds = (1, 1, 2)
-    once, again, other = (synthetic.mixed_texture(SHAPE, np.random.default_rng(s)) for s in seeds)
-    np.testing.assert_array_equal(once, again)
-    assert not np.array_equal(once, other)
-
-
 def test_surfaces_have_the_expected_curvature():
     height, width = 500.0, 40.0
     parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
