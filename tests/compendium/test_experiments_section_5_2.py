@@ -1,6 +1,7 @@
 """Section 5.2: the chain from pixels to microscope gives back the microscope that rendered them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,15 @@ def test_prediction_interval_covers_next_draw():
         assert mean == pytest.approx(np.mean(seen))
         inside.append(low <= after <= high)
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
+
+
+def test_pattern_errors_are_those_of_the_logarithms():
+    """So no interval reaches below zero: it ends as far below as above, in factors."""
+    errors = (SimpleNamespace(mean=v, std=v, max=v) for v in (1.0, 2.0, 8.0))
+    fits = [SimpleNamespace(plane_error=error) for error in errors]
+    found = section_5_2.pattern_errors({"square-4X": SimpleNamespace(with_f=fits, images=3)})
+    np.testing.assert_allclose(found["value"], 16 ** (1 / 3))
+    np.testing.assert_allclose(found["low"] * found["high"], found["value"] ** 2)
 
 
 def test_printed_pose_affects_only_point_labels():

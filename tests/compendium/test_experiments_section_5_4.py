@@ -26,6 +26,16 @@ def test_error_on_circle_is_one_sample_of_motion(station):
         assert found[f"table-5.4/{zoom}/circle/accuracy"] == pytest.approx(one_sample, rel=0.1)
 
 
+def test_taller_sinusoid_has_lower_precision(station):
+    """At the same mean error: the speed along the curve varies more."""
+    flat = station.path_errors("1X", "sinusoid", 8).mean(axis=0)
+    slower = station.path_speed | {"sinusoid": 0.57 * station.path_speed["sinusoid"]}
+    tall = replace(station, assumed=replace(station.assumed, height=2.0), path_speed=slower)
+    error = tall.path_errors("1X", "sinusoid", 8).mean(axis=0)
+    assert error[0] == pytest.approx(flat[0], rel=0.05)
+    assert error[1] > 1.05 * flat[1]
+
+
 def test_image_based_run_agrees_with_coordinate_run(station):
     found = section_5_4.over_images(station, "4X", section_5_4.STEP_PATH[:30], (0.0, 0.0))
     assert len(found.time) == 30
