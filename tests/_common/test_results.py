@@ -39,31 +39,15 @@ class Outer(Tidy):
     lost: np.bool_
 
 
-def outer() -> Outer:
-    return Outer(
-        np.array([1.0, 2.0, np.nan]),
-        Inner((3.0, 4.0), np.inf),
-        np.array([[1.0, np.nan], [0.5, 2.0]]),
-        {"force": np.float32(0.5)},
-        ("f", "M"),
-        np.bool_(True),
-    )
-
-
 def test_row_is_flat_and_json():
-    row = outer().to_dict()
+    inner, covariance = Inner((3.0, 4.0), np.inf), np.array([[1.0, np.nan], [0.5, 2.0]])
+    given = {"force": np.float32(0.5)}
+    row = Outer(np.ones(9), inner, covariance, given, ("f", "M"), np.bool_(True)).to_dict()
     assert json.loads(json.dumps(row, allow_nan=False)) == {
-        "inner_center_x": 3.0,
-        "inner_center_y": 4.0,
-        "inner_misfit": None,
-        "covariance_0_0": 1.0,
-        "covariance_0_1": None,
-        "covariance_1_0": 0.5,
-        "covariance_1_1": 2.0,
-        "given_force": 0.5,
-        "names": "f, M",
-        "lost": True,
-    }
+        "inner_center_x": 3.0, "inner_center_y": 4.0, "inner_misfit": None, "covariance_0_0": 1.0,
+        "covariance_0_1": None, "covariance_1_0": 0.5, "covariance_1_1": 2.0, "given_force": 0.5,
+        "names": "f, M", "lost": True,
+    }  # fmt: skip
 
 
 def results(value: object) -> list[object]:
