@@ -28,7 +28,7 @@ from microlib.__main__ import main
 from microlib.embryo import dimple_from_outline
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
-from tests.io.files import read_ply
+from tests.io.make import read_ply
 from tests.laws import unlike
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,19 +14,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from microlib.io import read_frames, read_grey
-from tests.io.files import (
-    GREY,
-    by_pillow,
-    content,
-    npy,
-    overwrite_tags,
-    pages,
-    picture,
-    pictures,
-    set_of_ome,
-    tiff,
-    tiff_of,
-)
+from tests.io import make
 
 
 def rejects(source: object, words: str) -> None:
@@ -35,41 +23,41 @@ def rejects(source: object, words: str) -> None:
 
 
 def bare(folder: Path, frames: NDArray, **options: object) -> Path:
-    return tiff(folder / "a.tif", frames, **GREY | options)
+    return make.tiff(folder / "a.tif", frames, **make.GREY | options)
 
 
 def scan(folder: Path, frames: NDArray) -> Path:
-    return pictures(folder / "scan", frames)
+    return make.pictures(folder / "scan", frames)
 
 
 def fewer_described(folder: Path, frames: NDArray) -> Path:
     """Append to an ImageJ file what belongs to the stack or not: the file must say."""
-    described = (path := tiff_of("ImageJ", folder, frames[:5])).read_bytes()
+    described = (path := make.tiff_of("ImageJ", folder, frames[:5])).read_bytes()
     assert described.count(b"images=5") == described.count(b"slices=5") == 1
-    return content(path, described.replace(b"es=5", b"es=3"))
+    return make.content(path, described.replace(b"es=5", b"es=3"))
 
 
 def part_of_a_set(folder: Path, frames: NDArray) -> Path:
-    (set_of_ome(folder / "set", frames[:5]) / "scan_z4.ome.tif").unlink()
+    (make.set_of_ome(folder / "set", frames[:5]) / "scan_z4.ome.tif").unlink()
     return folder / "set" / "scan_z0.ome.tif"
 
 
 def enormous_picture(folder: Path, frames: NDArray) -> list[Path]:
     """Write a picture whose header promises 10¹⁰ pixels."""
-    values = bytearray(picture(folder / "a.png", frames[0]).read_bytes())
+    values = bytearray(make.picture(folder / "a.png", frames[0]).read_bytes())
     struct.pack_into(">II", values, 16, 100_000, 100_000)
     struct.pack_into(">I", values, 29, zlib.crc32(values[12:29]))
-    return [content(folder / "a.png", values)]
+    return [make.content(folder / "a.png", values)]
 
 
 def broken_chain(folder: Path, frames: NDArray) -> Path:
-    path = pages(folder / "a.tif", frames[:5])
+    path = make.pages(folder / "a.tif", frames[:5])
     with tifffile.TiffFile(path) as file:
         at = file.pages[2].offset
     values = bytearray(path.read_bytes())
     at += 2 + 12 * struct.unpack_from("<H", values, at)[0]
     struct.pack_into("<I", values, at, len(values) + 1000)
-    return content(path, values)
+    return make.content(path, values)
 
 
 def holed(frame: NDArray) -> NDArray:
@@ -93,25 +81,25 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     (r"come along the first axis, got shape \(48, 56, 9\)",
         lambda to, frames: bare(to, np.moveaxis(frames[:9], 0, -1))),
     (r"axes YXZ must end in rows Y and columns X",
-        lambda to, frames: tiff_of("tifffile", to, np.moveaxis(frames, 0, -1), "YXZ")),
+        lambda to, frames: make.tiff_of("tifffile", to, np.moveaxis(frames, 0, -1), "YXZ")),
     (r"a\.tif: its metadata describe 3 pages, it holds 5", fewer_described),
     ("metadata describe 5 pages, it holds .* must lie beside it", part_of_a_set),
     (r"a\.tif: it is damaged behind page 2", broken_chain),
     (r"page 0 of .*a\.tif cannot be read: .*JPEG2000.* requires the .imagecodecs. package",
-        lambda to, frames: overwrite_tags(pages(to / "a.tif", frames), Compression=34712)),
+        lambda to, f: make.overwrite_tags(make.pages(to / "a.tif", f), Compression=34712)),
     (r"frames cannot be read from .*a\.tif: no such file", lambda to, _: to / "a.tif"),
-    *((r"a\.tif", lambda to, _, text=text: content(to / "a.tif", text))
+    *((r"a\.tif", lambda to, _, text=text: make.content(to / "a.tif", text))
         for text in (b"", b"no TIFF", b"II*\0", b"II*\0 cut off")),
     # Pictures and films.
     (r"frames\[12\], .*12\.png, must be uint8 of shape \(48, 56\) .* \(20, 56\)",
-        lambda to, frames: picture(scan(to, frames) / "frame 12.png", frames[0, :20]).parent),
+        lambda to, frames: make.picture(scan(to, frames) / "frame 12.png", frames[0, :20]).parent),
     (r"frames must hold images, got none in .*\*\.jpg", lambda to, f: f"{scan(to, f)}/*.jpg"),
     ("frames must hold images, got none in", lambda to, _: to),
     (NO_IMAGE, enormous_picture),
-    (NO_IMAGE, lambda to, _: [content(to / "a.png", b"")]),
+    (NO_IMAGE, lambda to, _: [make.content(to / "a.png", b"")]),
     (r"a\.png: no such file", lambda to, _: [to / "a.png"]),
     ("no such file", lambda to, _: [to]),
-    (r"a\.mp4: not a video", lambda to, _: content(to / "a.mp4", b"no film")),
+    (r"a\.mp4: not a video", lambda to, _: make.content(to / "a.mp4", b"no film")),
     # Arrays.
     (r"frames\[3\] must be finite, got 1 NaN",
         lambda _, frames: [*frames[:3].astype(float), holed(frames[3])]),
@@ -138,13 +126,18 @@ def test_unreadable_source_is_rejected_by_name_page_and_fault(stack, tmp_path, w
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("a.npy", npy), ("a.gif", by_pillow), ("a.jpg", picture), ("a.png", picture)],
+    [
+        ("a.npy", make.npy),
+        ("a.gif", make.by_pillow),
+        ("a.jpg", make.picture),
+        ("a.png", make.picture),
+    ],
 )
 def test_truncated_file_is_rejected(stack, tmp_path, name, write, share):
-    path = write(tmp_path / name, stack[0] if write is picture else stack)
+    path = write(tmp_path / name, stack[0] if write is make.picture else stack)
     whole = path.read_bytes()
-    content(path, whole[: int(share * len(whole))])
-    if write is picture:
+    make.content(path, whole[: int(share * len(whole))])
+    if write is make.picture:
         rejects([stack[1], path], f"{name}: damaged, too large or of an unknown format")
     else:
         rejects(path, f"cannot be read from .*{name}")
@@ -159,9 +152,9 @@ def test_tiff_cut_off_after_any_page_is_rejected(stack, tmp_path, kind, dtype, c
     """Also within a page of several strips."""
     frames, how = stack[:5].astype(dtype), {"compression": compression, "rowsperstrip": 20}
     if kind == "pages":
-        path = pages(tmp_path / "a.tif", frames, **how)
+        path = make.pages(tmp_path / "a.tif", frames, **how)
     else:
-        path = tiff_of(kind, tmp_path, frames, **how)
+        path = make.tiff_of(kind, tmp_path, frames, **how)
     np.testing.assert_array_equal(np.stack(list(read_frames(path))), frames)
     with tifffile.TiffFile(path) as file:
         entries = [page.aspage() for page in file.pages]
@@ -169,13 +162,13 @@ def test_tiff_cut_off_after_any_page_is_rejected(stack, tmp_path, kind, dtype, c
         ends = (ends - {max(ends)}) | {page.offset for page in entries[1:]}
     whole = path.read_bytes()
     for end in ends:
-        rejects(content(path, whole[:end]), r"a(\.ome)?\.tif")
+        rejects(make.content(path, whole[:end]), r"a(\.ome)?\.tif")
 
 
 def test_imagej_file_with_one_directory_is_rejected_when_cut_off(stack, tmp_path):
     """Beyond 4 GB ImageJ writes the values of all frames after one directory."""
     frames = stack[:5]
-    path = tiff_of("ImageJ", tmp_path, frames)
+    path = make.tiff_of("ImageJ", tmp_path, frames)
     with tifffile.TiffFile(path) as file:
         second = file.pages[1].offset
         order, first = file.byteorder, file.pages[0].offset
@@ -184,11 +177,11 @@ def test_imagej_file_with_one_directory_is_rejected_when_cut_off(stack, tmp_path
     struct.pack_into(order + "I", values, first + 2 + 12 * entries, 0)
     end = values.index(frames.tobytes()) + frames.nbytes
     for whole in (values[:second], values[:end]):
-        reader = read_frames(content(path, whole))
+        reader = read_frames(make.content(path, whole))
         assert (reader.count, reader.axis) == (5, "Z")
         np.testing.assert_array_equal(np.stack(list(reader)), frames)
     for missing in (1, frames[0].size, 3 * frames[0].size, 4 * frames[0].size):
-        rejects(content(path, values[: end - missing]), r"a\.tif")
+        rejects(make.content(path, values[: end - missing]), r"a\.tif")
 
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "jpeg", "tiff_deflate"])
@@ -196,7 +189,7 @@ def test_imagej_file_with_one_directory_is_rejected_when_cut_off(stack, tmp_path
 def test_page_with_zeroed_data_is_rejected(tmp_path, compression, share):
     """As after a lost connection. LZW and PackBits have no checksum: the values end too early."""
     smooth = np.add.outer(np.arange(96), 2 * np.arange(80)).astype(np.uint8)
-    path = by_pillow(tmp_path / "a.tif", np.stack([smooth] * 3), compression=compression)
+    path = make.by_pillow(tmp_path / "a.tif", np.stack([smooth] * 3), compression=compression)
     assert len(list(read_frames(path))) == 3
     with tifffile.TiffFile(path) as file:
         page = file.pages[1].aspage()
@@ -204,7 +197,7 @@ def test_page_with_zeroed_data_is_rejected(tmp_path, compression, share):
         places = np.concatenate([*map(np.arange, page.dataoffsets, ends)])
     values = np.fromfile(path, np.uint8)
     values[places[int(share * len(places)) :]] = 0
-    rejects(content(path, values.tobytes()), r"page 1 of .*a\.tif cannot be read")
+    rejects(make.content(path, values.tobytes()), r"page 1 of .*a\.tif cannot be read")
 
 
 def names(folder: Path, frames: NDArray) -> Iterator[Path]:
@@ -227,7 +220,7 @@ CHANGED = "frames must not change while they are read, got .*"
         (names, remove_picture, REMOVED),
         (
             scan,
-            lambda folder, frames: picture(folder / "scan" / "frame 0.png", 255 - frames[0]),
+            lambda folder, frames: make.picture(folder / "scan" / "frame 0.png", 255 - frames[0]),
             CHANGED + r"frame 0\.png",
         ),
         (bare, lambda folder, frames: bare(folder, 255 - frames), CHANGED + r"a\.tif"),

@@ -15,23 +15,8 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
 from microlib.io import read_frames, read_grey
+from tests.io import make
 from tests.io.conftest import COUNT
-from tests.io.files import (
-    GREY,
-    TIFFS,
-    Lazy,
-    by_pillow,
-    npy,
-    ome_zarr,
-    one_buffer,
-    overwrite_tags,
-    packed,
-    pages,
-    pictures,
-    set_of_ome,
-    tiff,
-    tiff_of,
-)
 
 
 def assert_frames(source: object, expected: NDArray, **options: object) -> None:
@@ -55,7 +40,7 @@ def zarr_array(folder: Path, frames: NDArray) -> object:
 
 
 def files(folder: Path, frames: NDArray) -> list[Path]:
-    path = pictures(folder / "scan", frames)
+    path = make.pictures(folder / "scan", frames)
     return [path / f"frame {k}.png" for k in range(len(frames))]
 
 
@@ -65,25 +50,29 @@ SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
     "big-endian array": lambda _, frames: frames.astype(frames.dtype.newbyteorder(">")),
     "list": lambda _, frames: list(frames),
     "iterator": lambda _, frames: iter(frames),
-    "one buffer": lambda _, frames: one_buffer(frames),
-    "lazy array": lambda _, frames: Lazy(frames),
-    "NumPy file": lambda to, frames: npy(to / "a.npy", frames),
+    "one buffer": lambda _, frames: make.one_buffer(frames),
+    "lazy array": lambda _, frames: make.Lazy(frames),
+    "NumPy file": lambda to, frames: make.npy(to / "a.npy", frames),
     "zarr array": zarr_array,
     "zarr folder": lambda to, frames: zarr_array(to, frames) and to / "a.zarr",
-    "OME-Zarr": lambda to, frames: ome_zarr(to / "a", frames, "0.5", "zyx"),
+    "OME-Zarr": lambda to, frames: make.ome_zarr(to / "a", frames, "0.5", "zyx"),
     "list of files": files,
+    "list of TIFF": lambda to, frames: [
+        make.tiff(to / f"{k}.tif", frame, photometric="miniswhite", compression="zlib")
+        for k, frame in enumerate(frames)
+    ],
     "iterator of files": lambda to, frames: iter(files(to, frames)),
-    "folder": lambda to, frames: pictures(to / "scan [3]", frames),
-    "pattern": lambda to, frames: f"{pictures(to / 'scan', frames)}/frame*.png",
-    "pattern in brackets": lambda to, frames: pictures(to / "a[3]", frames) / "frame [0-9]*.png",
-    "pages": lambda to, frames: pages(to / "a.tif", frames),
-    "white is zero": lambda to, frames: tiff(to / "a.tif", frames, photometric="miniswhite"),
-    "white is zero, compressed": lambda to, frames: tiff(
+    "folder": lambda to, frames: make.pictures(to / "scan [3]", frames),
+    "pattern": lambda to, frames: f"{make.pictures(to / 'scan', frames)}/frame*.png",
+    "pattern in brackets": lambda to, frames: make.pictures(to / "a[3]", frames) / "f*[0-9]*.png",
+    "pages": lambda to, frames: make.pages(to / "a.tif", frames),
+    "white is zero": lambda to, frames: make.tiff(to / "a.tif", frames, photometric="miniswhite"),
+    "white is zero, compressed": lambda to, frames: make.tiff(
         to / "a.tif", frames, photometric="miniswhite", compression="zlib"
     ),
-    **{kind: lambda to, frames, kind=kind: tiff_of(kind, to, frames) for kind in TIFFS},
-    "Pillow": lambda to, frames: by_pillow(to / "a.tif", frames),
-    "Pillow, LZW": lambda to, frames: by_pillow(to / "a.tif", frames, compression="tiff_lzw"),
+    **{kind: lambda to, frames, kind=kind: make.tiff_of(kind, to, frames) for kind in make.TIFFS},
+    "Pillow": lambda to, frames: make.by_pillow(to / "a.tif", frames),
+    "Pillow, LZW": lambda to, frames: make.by_pillow(to / "a.tif", frames, compression="tiff_lzw"),
 }  # fmt: skip
 
 
@@ -94,60 +83,48 @@ def test_grey_levels_are_returned_as_stored(stack, tmp_path, kind, dtype):
     assert_frames(SOURCES[kind](tmp_path, frames), frames, color=True)
 
 
-@pytest.mark.parametrize("kind", [*TIFFS, "white is zero", "white is zero, compressed"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_tiff_of_one_page_is_a_picture(stack, tmp_path, kind, dtype):
-    frame = stack[0].astype(dtype)
-    source = (
-        tiff_of(kind, tmp_path, frame, "YX") if kind in TIFFS else SOURCES[kind](tmp_path, frame)
-    )
-    assert_frames([source], frame[None])
-    assert read_grey(source).dtype == dtype
-    np.testing.assert_array_equal(read_grey(source), frame)
-
-
 @pytest.mark.parametrize("compression", ["tiff_lzw", None])
 def test_files_of_pillow_give_their_levels_and_colors(stack, tmp_path, compression):
     """It reads what tifffile has no codec for."""
     path, color = tmp_path / "a.tif", np.stack([stack, stack // 2, 255 - stack], axis=-1)
-    assert_frames(by_pillow(path, color, compression=compression), color, color=True)
-    by_pillow(path, np.stack([stack, 255 - stack], axis=-1), compression=compression)
+    assert_frames(make.by_pillow(path, color, compression=compression), color, color=True)
+    make.by_pillow(path, np.stack([stack, 255 - stack], axis=-1), compression=compression)
     assert_frames(path, stack, color=True)  # without alpha
-    by_pillow(path, stack, compression=compression)
-    assert_frames(overwrite_tags(path, PhotometricInterpretation=0), stack)
+    make.by_pillow(path, stack, compression=compression)
+    assert_frames(make.overwrite_tags(path, PhotometricInterpretation=0), stack)
 
 
 @pytest.mark.parametrize("compression", ["zlib", None])
 def test_color_frames_are_returned_as_given_or_as_luma(stack, tmp_path, compression):
     color = np.stack([stack, stack // 2, 255 - stack], axis=-1)
-    folder = pictures(tmp_path / "scan", np.ascontiguousarray(color[..., ::-1]))
+    folder = make.pictures(tmp_path / "scan", np.ascontiguousarray(color[..., ::-1]))
     opaque = np.concatenate([color, color[..., :1]], axis=3)
     how = {"photometric": "rgb", "compression": compression}
-    whole = tiff(tmp_path / "whole.tif", color, **how)
+    whole = make.tiff(tmp_path / "whole.tif", color, **how)
     how["planarconfig"] = "separate"
-    planes = tiff(tmp_path / "planes.tif", np.moveaxis(color, -1, 1), **how)
-    single = tiff(tmp_path / "single.tif", np.moveaxis(color[0], -1, 0), **how)
+    planes = make.tiff(tmp_path / "planes.tif", np.moveaxis(color, -1, 1), **how)
+    single = make.tiff(tmp_path / "single.tif", np.moveaxis(color[0], -1, 0), **how)
     # Luma of ITU-R BT.601, rounded.
     luma = color.astype(float) @ [0.299, 0.587, 0.114]
-    for source in (color, opaque, Lazy(color), folder, whole, planes):
+    for source in (color, opaque, make.Lazy(color), folder, whole, planes):
         assert_frames(source, color, color=True)
         np.testing.assert_allclose(np.stack(list(read_frames(source))), luma, atol=0.6)
-    for picture in (single, folder / "frame 0.png"):
-        assert_frames([picture], color[:1], color=True)
-        np.testing.assert_allclose(read_grey(picture), luma[0], atol=0.6)
+    for image in (single, folder / "frame 0.png"):
+        assert_frames([image], color[:1], color=True)
+        np.testing.assert_allclose(read_grey(image), luma[0], atol=0.6)
 
 
 def test_other_types_of_numbers_become_float32(stack, tmp_path):
     for dtype in (np.int16, np.float64, np.int64):
         assert_frames(stack.astype(dtype), stack.astype(np.float32))
-    bits = tiff(tmp_path / "a.tif", stack > 99, **GREY)
+    bits = make.tiff(tmp_path / "a.tif", stack > 99, **make.GREY)
     assert_frames(bits, np.where(stack > 99, np.uint8(255), np.uint8(0)))
 
 
 def test_packed_12_bits_are_read_and_10_bits_name_the_package(stack, tmp_path):
     levels = stack.astype(np.uint16) * 3 + 1
-    assert_frames(packed(tmp_path / "a.tif", levels * 5, 12), levels * 5)
-    path = packed(tmp_path / "b.tif", levels, 10)
+    assert_frames(make.packed(tmp_path / "a.tif", levels * 5, 12), levels * 5)
+    path = make.packed(tmp_path / "b.tif", levels, 10)
     if importlib.util.find_spec("imagecodecs"):
         assert_frames(path, levels)
     else:
@@ -161,11 +138,11 @@ def test_palette_of_either_scale_becomes_its_colors(tmp_path, scale):
     levels = np.random.default_rng(1).integers(0, 256, (3, 256))
     numbers = np.arange(240, dtype=np.uint8).reshape(12, 20)
     colormap = (levels * scale).astype(np.uint16)
-    path = tiff(tmp_path / "p.tif", numbers, photometric="palette", colormap=colormap)
+    path = make.tiff(tmp_path / "p.tif", numbers, photometric="palette", colormap=colormap)
     read = next(iter(read_frames(path, color=True)))
     np.testing.assert_array_equal(read, levels.T[numbers])
-    with Image.open(path) as picture:
-        np.testing.assert_array_equal(read, np.asarray(picture.convert("RGB")))
+    with Image.open(path) as opened:
+        np.testing.assert_array_equal(read, np.asarray(opened.convert("RGB")))
 
 
 def test_imagej_display_palette_is_ignored(stack, tmp_path):
@@ -173,13 +150,13 @@ def test_imagej_display_palette_is_ignored(stack, tmp_path):
     table = np.zeros((3, 256), np.uint16)
     table[2] = 257 * np.arange(256)[::-1]
     how = {"photometric": "palette", "colormap": table}
-    assert_frames(tiff_of("ImageJ", tmp_path, stack, **how), stack)
+    assert_frames(make.tiff_of("ImageJ", tmp_path, stack, **how), stack)
 
 
 def test_jpeg_and_its_orientation_are_read(tmp_path):
     """A smooth image loses a grey level or two; noise would lose more."""
     smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
-    path = by_pillow(tmp_path / "a.tif", smooth[None], compression="jpeg", quality=95)
+    path = make.by_pillow(tmp_path / "a.tif", smooth[None], compression="jpeg", quality=95)
     np.testing.assert_allclose(read_grey(path).astype(int), smooth, atol=3)
     turned = Image.Exif()
     turned[ExifTags.Base.Orientation] = 6  # the camera was held sideways
@@ -189,7 +166,7 @@ def test_jpeg_and_its_orientation_are_read(tmp_path):
 
 
 def test_any_file_of_an_ome_tiff_of_many_opens_all(stack, tmp_path):
-    folder = set_of_ome(tmp_path / "set", stack)
+    folder = make.set_of_ome(tmp_path / "set", stack)
     for source in (folder, folder / "scan_z2.ome.tif"):
         assert_frames(source, stack)
     reader = read_frames(folder / "scan_z2.ome.tif")
@@ -202,18 +179,18 @@ def test_png_with_alpha_is_read_without_it(stack, tmp_path):
 
 
 def test_frames_of_a_gif_are_read(stack, tmp_path):
-    reader = read_frames(by_pillow(tmp_path / "a.gif", stack))
+    reader = read_frames(make.by_pillow(tmp_path / "a.gif", stack))
     assert (reader.count, reader.files) == (None, (tmp_path / "a.gif",))
     np.testing.assert_allclose(np.stack(list(reader)).astype(int), stack, atol=1)
 
 
 def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
-    tiff(tmp_path / "~scan.tif", stack, **GREY)
+    make.tiff(tmp_path / "~scan.tif", stack, **make.GREY)
     cv2.imwrite(str(tmp_path / "~a.png"), stack[0])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     (tmp_path / "home").mkdir()
-    pictures(tmp_path / "home" / "scan", stack)
+    make.pictures(tmp_path / "home" / "scan", stack)
     for source in ("~scan.tif", "./~scan.tif", "~/scan"):
         assert_frames(source, stack)
     assert_frames(["~a.png"], stack[:1])
@@ -222,7 +199,7 @@ def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
 @pytest.mark.parametrize("place", ["after each page", "at the end"])
 def test_preview_beside_pages_is_no_frame(stack, tmp_path, place):
     """As cameras and Olympus' and FEI's programs write it."""
-    how = {"metadata": None, **GREY}
+    how = {"metadata": None, **make.GREY}
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         for k, frame in enumerate(stack[:3]):
             file.write(frame, **how)
@@ -234,7 +211,7 @@ def test_preview_beside_pages_is_no_frame(stack, tmp_path, place):
 # --- Axes ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", TIFFS)
+@pytest.mark.parametrize("kind", make.TIFFS)
 @pytest.mark.parametrize(
     ("axes", "lengths", "choice", "frames", "axis"),
     [
@@ -248,7 +225,7 @@ def test_channel_and_time_select_a_stack(
     stack, tmp_path, kind, axes, lengths, choice, frames, axis
 ):
     many = stack[: math.prod(lengths)].reshape(*lengths, *stack.shape[1:])
-    path = tiff_of(kind, tmp_path, many, axes)
+    path = make.tiff_of(kind, tmp_path, many, axes)
     found = ", ".join(f"{a}={n}" for a, n in zip(axes, lengths, strict=False))
     with pytest.raises(ValueError, match=f"has the axes {found} besides .* choose a channel"):
         read_frames(path)
@@ -264,17 +241,23 @@ def test_channel_and_time_select_a_stack(
 def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):
     frames = np.repeat(stack[..., None], 3, axis=3) if color else stack
     how = {"photometric": "rgb"} if color else {}
-    reader = read_frames(tiff_of("tifffile", tmp_path, frames, f"{axis}YX{'S' * color}", **how))
+    path = make.tiff_of("tifffile", tmp_path, frames, f"{axis}YX{'S' * color}", **how)
+    reader = read_frames(path)
     assert (reader.axis, reader.count, reader.color) == (axis, COUNT, color)
 
 
-def test_times_have_no_positions(stack, tmp_path):
-    about = {"axes": "TYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 3.0}
-    ome = tiff(tmp_path / "a.ome.tif", stack, metadata=about, **GREY)
-    about = {"axes": "TYX", "spacing": 3.0, "unit": "um"}
-    imagej = tiff(tmp_path / "a.tif", stack, imagej=True, resolution=(0.5, 0.5), metadata=about)
-    for reader in (read_frames(ome), read_frames(imagej)):
-        assert (reader.pixel_size, reader.positions) == (2.0, None)
+@pytest.mark.parametrize(
+    ("kind", "about"),
+    [
+        ("OME", {"PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 3.0}),
+        ("ImageJ", {"spacing": 3.0, "unit": "um"}),
+    ],
+)
+def test_times_have_no_positions(stack, tmp_path, kind, about):
+    name, how = make.TIFFS[kind]
+    how = how | {"resolution": (0.5, 0.5), "metadata": {"axes": "TYX", **about}}
+    reader = read_frames(make.tiff(tmp_path / name, stack, **how))
+    assert (reader.pixel_size, reader.positions) == (2.0, None)
 
 
 def test_series_selects_an_image_of_the_file(stack, tmp_path):
@@ -299,7 +282,7 @@ def test_series_selects_an_image_of_the_file(stack, tmp_path):
 def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
     many = np.stack([np.stack([stack, 255 - stack])] * 2)
     many[1] //= 2
-    path = ome_zarr(tmp_path / "a", many, version)
+    path = make.ome_zarr(tmp_path / "a", many, version)
     with pytest.raises(ValueError, match=r"has the axes T=2, C=2, Z=12 .* choose a channel"):
         read_frames(path)
     reader = read_frames(path, channel=1, time=1)
@@ -308,7 +291,7 @@ def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
     np.testing.assert_array_equal(np.stack(list(reader)), (255 - stack) // 2)
     # A group for each image, as bioformats2raw writes it, and fewer axes.
     for k, frames in enumerate((stack, stack[:4])):
-        ome_zarr(tmp_path / "b.zarr" / str(k), frames, version, "zyx")
+        make.ome_zarr(tmp_path / "b.zarr" / str(k), frames, version, "zyx")
     name, text = (".zgroup", '{"zarr_format": 2}')
     if version == "0.5":
         name, text = "zarr.json", '{"zarr_format": 3, "node_type": "group"}'
@@ -320,8 +303,8 @@ def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
 
 def test_other_groups_of_zarr_are_rejected(stack, tmp_path):
     """A plate, a group of arrays, version 0.3, and an image with its frames along the last axis."""
-    ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
-    ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
+    make.ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
+    make.ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
     zarr = pytest.importorskip("zarr")
     old = zarr.open_group(str(tmp_path / "b"), mode="a")
     old.attrs["multiscales"] = [{"axes": ["z", "y", "x"], "datasets": [{"path": "0"}]}]

@@ -14,7 +14,7 @@ import tifffile
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, read_grey, write_height_tiff, write_ply
 from microlib.synthetic import focal_stack, mixed_texture
-from tests.io.files import read_ply
+from tests.io.make import read_ply
 from tests.laws import SAME, Row, grey, laws_of, um
 
 SHAPE = (29, 41)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, write_height_tiff
 from tests.io.conftest import COUNT
-from tests.io.files import Lazy, pictures, tiff
+from tests.io.make import Lazy, pictures, tiff
 
 
 def read_stack(source: object, **options: bool | int) -> NDArray:
