@@ -54,10 +54,8 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
     found = mapped(pixel_size)
     sharp, height, error, *bars = found.plot(unit=unit).axes
     hold_photograph(sharp, found.all_in_focus)
-    for ax, bar, values, name in zip(
-        (height, error), bars[::-1], (found.depth, found.uncertainty), ("height", "uncertainty"),
-        strict=True,
-    ):  # fmt: skip
+    given = {"height": found.depth, "uncertainty": found.uncertainty}
+    for ax, bar, (name, values) in zip((height, error), bars[::-1], given.items(), strict=True):
         (shown,) = ax.images
         np.testing.assert_array_equal(shown.get_array().filled(np.nan), values)
         assert shown.get_clim() == pytest.approx(np.nanquantile(values, [0.005, 0.995]))
@@ -73,10 +71,9 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
         (length,) = (part.get_width() * pixel_size for part in bar.size_bar.get_children())
         assert length == pytest.approx(float(value) * {"µm": 1, "mm": 1000}[of])
         assert length == pytest.approx(largest_round(pixel_size * 52 / 4))
-    # In axes of one's own the height alone.
     own, ax = pyplot.subplots()
     assert found.plot(ax, unit=unit) is own
-    assert [len(each.images) for each in own.axes] == [1, 0]  # with its color bar
+    assert [len(each.images) for each in own.axes] == [1, 0]  # the height with its color bar
 
 
 def test_maps_without_a_height_or_an_error_are_drawn():
@@ -118,11 +115,10 @@ def test_each_view_shows_its_marks_and_residuals(views, photographs):
         rms = np.sqrt(np.mean(np.hypot(*own.T) ** 2))
         title = f"{len(each.points)} points\n{rms:.2g} px rms (red, × {factor:g})"
         assert ax.get_title() == title
-        for text in ax.texts:  # a place in the grid, at its point
-            place = np.array(text.get_text().split(","), dtype=int)
-            at = each.points[(each.grid == place).all(axis=1)]
-            np.testing.assert_array_equal(at, [text.xy])
-        assert 1 <= len(ax.texts) <= 9
+        places = [[int(n) for n in text.get_text().split(",")] for text in ax.texts]
+        points = dict(zip(map(tuple, each.grid), each.points, strict=True))
+        np.testing.assert_array_equal([text.xy for text in ax.texts], [points[*p] for p in places])
+        assert 1 <= len(places) <= 9
         if photographs:
             hold_photograph(ax, image)
         else:
@@ -145,14 +141,11 @@ def test_outline_is_drawn_with_curve_and_modulus():
     (ax,) = found.plot().axes
     low, high = found.interval
     title = f"modulus {found.modulus:.4g} MPa, 95 % within {low:.4g} … {high:.4g}"
-    assert ax.get_title() == title
-    outline, curve = ax.lines
-    x, y = found.boundary.x, found.boundary.y
-    np.testing.assert_array_equal(outline.get_xydata(), np.transpose([x, y]))
-    across, up = curve.get_data()
-    np.testing.assert_allclose(across[[0, -1]], [x.min(), x.max()])
-    np.testing.assert_allclose(up, found.dimple(across))
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (px)", "y, up (px)")
+    assert (ax.get_title(), ax.get_xlabel(), ax.get_ylabel()) == (title, "x (px)", "y, up (px)")
+    outline, curve = (line.get_xydata() for line in ax.lines)
+    np.testing.assert_array_equal(outline, np.transpose([found.boundary.x, found.boundary.y]))
+    np.testing.assert_allclose(curve[[0, -1], 0], [outline[:, 0].min(), outline[:, 0].max()])
+    np.testing.assert_allclose(curve[:, 1], found.dimple(curve[:, 0]))
     assert not ax.yaxis_inverted()
 
 
@@ -161,18 +154,21 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     """The part is lost in the first and in the fourth frame."""
     image = np.random.default_rng(0).uniform(3.0, 90.0, (120, 170))
     box = np.array([[0.0, 0.0], [19, 0], [19, 9], [0, 9]])
-    starts, rows = [(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)], []
-    for k, start in enumerate(starts):
-        lost = k in (0, 3)
-        rows.append(Track(**FOUND | {"corners": box + start, "lost": lost}).to_dict())
-        way = (None, None) if lost else (1.7 * (start[0] - 70), 1.7 * (start[1] - 60))
-        rows[-1] |= {"time_s": k / 8} if timed else {}
-        rows[-1] |= dict(zip(("x_um", "y_um"), way, strict=True)) if micrometers else {}
-    table = pd.DataFrame(rows)
+    starts, k = np.array([(70.0 + 3 * k, 60.0 - 2 * k * k) for k in range(7)]), np.arange(7)
+    lost = np.isin(k, (0, 3))
+    tracks = [
+        Track(**FOUND | {"corners": box + start, "lost": each})
+        for start, each in zip(starts, lost, strict=True)
+    ]
+    table = pd.DataFrame([track.to_dict() for track in tracks])
+    if timed:
+        table["time_s"] = k / 8
+    if micrometers:
+        table[["x_um", "y_um"]] = np.where(lost[:, None], np.nan, 1.7 * (starts - (70, 60)))
     way, against = plot_track(table, image).axes
     hold_photograph(way, image)
-    middle = np.add(starts, (9.5, 4.5))
-    gaps = np.where(np.isin(np.arange(7), (0, 3))[:, None], np.nan, middle)
+    middle = starts + np.array([9.5, 4.5])
+    gaps = np.where(lost[:, None], np.nan, middle)
     wanted = (gaps, box[[0, 1, 2, 3, 0]] + starts[1], gaps[-1:])
     for line, points in zip(way.lines, wanted, strict=True):
         np.testing.assert_array_equal(line.get_xydata().astype(float), points)
@@ -180,7 +176,7 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
     assert way.get_ylim() == (middle[1, 1] + 18, -0.5)
     assert way.get_title() == "path, lost in 28.6 % of the frames"
-    time = np.arange(7) / 8 if timed else np.arange(7)
+    time = k / 8 if timed else k
     moves = 1.7 * (gaps - middle[0]) if micrometers else gaps - middle[1]
     for line, values in zip(against.lines, moves.T, strict=False):
         np.testing.assert_allclose(line.get_data(), [time, values], atol=1e-12)
