@@ -52,6 +52,16 @@ def _exponential(matrix: Array) -> Array:
 
     scipy.linalg.expm calls the BLAS of SciPy, whose threads and those of NumPy's BLAS wait for one
     another: a frame then takes twenty times as long.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy.linalg import expm
+    >>> from microlib.tracking._geometry import _exponential
+    >>> for size in (1e-3, 0.3, 3.0):
+    ...     matrices = np.random.default_rng(0).normal(0, size, (20, 3, 3))
+    ...     truth = np.array([expm(matrix) for matrix in matrices])
+    ...     assert np.abs(_exponential(matrices) - truth).max() < 1e-12 * np.abs(truth).max()
     """
     norm = 3 * float(np.abs(matrix).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(max(16 * norm, 1.0)))))

@@ -1,17 +1,18 @@
 """The tracker on known warps, beside OpenCV, at borders, and when there is nothing to track."""
 
+import pickle
+
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from benchmarks.tracking import MODES, ecc
 from compendium.experiments.section_5_3 import texture_sequence
 from microlib.synthetic import gripper_scene, mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, track_all
+from microlib.tracking._esm import make_level
 from tests.scenes import camera_frame, warped_pair
 
-INTERVAL = 1 / 33
 IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
 #: A chessboard of squares of 1 px.
 CHECKS = 100.0 * np.indices((80, 90)).sum(axis=0) % 200
@@ -54,42 +55,50 @@ def test_iterations_of_both_levels_are_counted():
 @pytest.mark.parametrize("distance", [0.5, 3.0])
 def test_translation_error_is_below_a_hundredth_of_a_pixel(distance):
     errors = corner_errors("translation", distance, "shift", 12)
-    # The limit asked for; measured 0.004, where bilinear interpolation alone would leave 0.017.
-    assert np.sqrt(np.mean(errors**2)) <= 0.015
+    # Measured 0.0048. Bilinear interpolation alone would leave 0.02, cubic interpolation at half
+    # pixels 0.0075, and places rounded to 1/32 px 0.0064 to 0.0088.
+    assert np.sqrt(np.mean(errors**2)) <= 0.006
+
+
+def test_esm_step_is_of_second_order():
+    # Whole pixels, so that interpolation takes no part, on a texture much coarser than the steps.
+    image = mixed_texture((90, 100), np.random.default_rng(3), scales=6.0).astype(np.float32)
+    pose = np.array([[20.0, 0, 49.5], [0, 20.0, 41.5], [0, 0, 1]])
+    level = make_level(image, (30, 24, 40, 36), pose, smoothing=0.0, motion="translation")
+    errors = []
+    for distance in (4, 2):
+        start = np.array([[1.0, 0, distance], [0, 1, 0], [0, 0, 1]]) @ pose
+        step = level.align(image, start, tolerance=0, iterations=1)
+        errors.append(abs(step.pose[0, 2] - pose[0, 2]))
+    # Halving the distance leaves a quarter of a first-order step's error (Gauss-Newton: 3.9 here),
+    # an eighth of a second-order step's.
+    assert errors[1] < errors[0] / 6
+
+
+@pytest.mark.parametrize("motion", MODES)
+def test_template_returns_to_its_box_in_the_first_frame(motion):
+    tracker = ESMTracker(IMAGE, (20, 15, 40, 40), motion)
+    assert not tracker.track(np.roll(IMAGE, (2, -3), axis=(0, 1))).lost
+    track = tracker.track(IMAGE)
+    # The iteration ends within 0.05 px, from where another step moves by 0.05² px.
+    np.testing.assert_allclose(track.corners[[0, 2]], [(20, 15), (59, 54)], atol=2.5e-3)
+    np.testing.assert_allclose(track.homography, np.eye(3), atol=2.5e-3)
 
 
 @pytest.mark.parametrize(
-    ("motion", "mode", "warp"),
-    [
-        ("translation", cv2.MOTION_TRANSLATION, "shift"),
-        ("affine", cv2.MOTION_AFFINE, "affine"),
-        ("homography", cv2.MOTION_HOMOGRAPHY, "homography"),
-    ],
+    ("motion", "warp"),
+    [("translation", "shift"), ("affine", "affine"), ("homography", "homography")],
 )
-def test_track_agrees_with_ecc_and_is_more_accurate(motion, mode, warp):
+def test_track_agrees_with_ecc_and_is_more_accurate(motion, warp):
     ours, theirs = [], []
     for seed in range(8):
         pair = warped_pair(100 + seed, 1.0, warp=warp)
-        x, y, width, height = pair.box
+        peer, _ = ecc(pair, motion, 1)
         track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
-        start = np.eye(3, dtype=np.float32)
-        start[:2, 2] = x, y
-        template = pair.first[y : y + height, x : x + width]
-        _, found = cv2.findTransformECC(
-            template,
-            pair.second,
-            start if motion == "homography" else start[:2],
-            mode,
-            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-7),
-            None,
-            1,
-        )
-        found = found if motion == "homography" else np.vstack([found, [0, 0, 1]])
-        inside = track.homography @ np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]])
-        corners = np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
-        peer = cv2.perspectiveTransform(corners[None], found.astype(np.float64))[0]
-        same = cv2.perspectiveTransform(corners[None], inside)[0]
-        np.testing.assert_allclose(same, track.corners, atol=1e-9)
+        x, y, width, height = pair.box
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1.0, height - 1.0] + [x, y]
+        mapped = cv2.perspectiveTransform(corners[None], track.homography)[0]
+        np.testing.assert_allclose(mapped, track.corners, atol=1e-9)
         # Two estimators of one warp, both to a few hundredths of a pixel.
         assert np.abs(peer - track.corners).max() < 0.12
         ours.append(np.sum((track.corners - pair.corners) ** 2))
@@ -113,25 +122,6 @@ def test_template_partly_outside_the_image_is_tracked():
     np.testing.assert_allclose(track.corners[0], (-16, 20), atol=0.05)
 
 
-def scene_and_tracker(motion="translation"):
-    rng = np.random.default_rng(8)
-    scene = gripper_scene(rng, pixel_size=6.23)
-    tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(50), motion)
-    return scene, tracker, rng
-
-
-def test_gripper_has_not_drifted_after_fifty_frames():
-    scene, tracker, rng = scene_and_tracker("affine")
-    for k in range(0, 100, 2):
-        truth = 40 * np.array([np.sin(k / 25), np.cos(k / 25) - 1])
-        track = tracker.track(scene.frame(truth, rng))
-        assert not track.lost
-    x, y, width, height = scene.box(50)
-    middle = np.array([x + (width - 1) / 2, y + (height - 1) / 2])
-    # The limit for the thousand frames of the benchmark.
-    assert np.linalg.norm(track.center - middle - truth) < 0.2
-
-
 def test_jump_along_the_edges_of_the_jaws_is_tracked():
     # Two bright bars correlate with themselves at any shift along them; only the grain tells.
     rng = np.random.default_rng(10)
@@ -145,28 +135,6 @@ def test_jump_along_the_edges_of_the_jaws_is_tracked():
         assert np.linalg.norm(track.center - middle - shift) < 0.2
 
 
-@pytest.mark.parametrize("motion", ["translation", "homography"])
-def test_track_is_lost_under_full_occlusion_and_found_afterwards(motion):
-    scene, tracker, rng = scene_and_tracker(motion)
-    before = tracker.track(scene.frame((5, 5), rng))
-    assert not before.lost
-    covered = scene.frame((5, 5), rng)
-    x, y, width, height = scene.box(50)
-    covered[y - 5 : y + height + 15, x - 5 : x + width + 15] = 90
-    covered = camera_frame(covered.astype(float), rng, noise=2.0)
-    elsewhere = camera_frame(mixed_texture((240, 320), rng, scales=3.0), rng, noise=2.0)
-    for frame in (covered, elsewhere, np.zeros((240, 320), np.uint8)):
-        track = tracker.track(frame)
-        assert track.lost
-        assert track.reason in ("low correlation", "diverged", "singular", "no agreement")
-        np.testing.assert_array_equal(track.corners, before.corners)
-        assert np.isnan(track.covariance).all()
-    # The gripper comes back 15 px away.
-    found = tracker.track(scene.frame((14, 17), rng))
-    assert not found.lost
-    np.testing.assert_allclose(found.center - before.center, (9, 12), atol=0.2)
-
-
 def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     texture = mixed_texture((100, 200), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=500.0, noise=0.1)
@@ -178,67 +146,25 @@ def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     assert reasons[-1] == "out of view"
 
 
-@settings(deadline=None, max_examples=18)
-@given(
-    seed=st.integers(0, 10**6),
-    kind=st.sampled_from(["noise", "flat", "ramp", "checks", "bright", "edge"]),
-    motion=st.sampled_from(["translation", "affine", "homography"]),
-)
-def test_arbitrary_frames_give_a_track_or_a_loss(seed, kind, motion):
-    rng = np.random.default_rng(seed)
-    rows, columns = np.mgrid[:80, :90]
-    frames = {
-        "noise": rng.uniform(0, 255, (80, 90)),
-        "flat": np.full((80, 90), rng.uniform(0, 255)),
-        "ramp": 3.0 * columns,
-        "checks": 255.0 * ((rows + columns) % 2),
-        "bright": 1e6 * rng.standard_normal((80, 90)),
-        "edge": np.where(columns > rng.integers(20, 70), 255.0, 0.0),
-    }
-    tracker = ESMTracker(IMAGE, (20, 20, 40, 40), motion)
-    track = tracker.track(frames[kind])
-    assert track.lost
-    assert not tracker.track(IMAGE).lost
-
-
-def test_fast_square_over_a_textured_background_is_tracked():
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        angle = 500.0 * INTERVAL / 80 * np.arange(30) + rng.uniform(0, 2 * np.pi)
-        path = 115 + 80 * np.column_stack([np.cos(angle), np.sin(angle)])
-        frames = texture_sequence(path, rng)
-        x, y = np.ceil(path[0]).astype(int)
-        start = np.array([x + 24.0, y + 24.0])
-        kalman = KalmanFilter(start, interval=INTERVAL, acceleration=3000.0, noise=0.1)
-        tracker = ESMTracker(frames[0], (int(x), int(y), 49, 49), kalman=kalman)
-        for frame, position in zip(frames[1:], path[1:], strict=True):
-            track = tracker.track(frame)
-            assert not track.lost
-            assert np.linalg.norm(track.center - start - position + path[0]) < 0.1
-
-
 @pytest.mark.parametrize(
-    ("image", "box", "message"),
+    ("image", "message"),
     [
-        (np.full((80, 90), 7.0), (10, 10, 40, 40), "flat"),
-        (np.tile(np.arange(90.0) ** 2, (80, 1)), (10, 10, 40, 40), "two directions"),
-        (CHECKS, (10, 10, 40, 40), "texture coarser than 1 px"),
+        (np.full((80, 90), 7.0), "flat"),
+        (np.tile(np.arange(90.0) ** 2, (80, 1)), "two directions"),
+        (CHECKS, "texture coarser than 1 px"),
     ],
 )
-def test_templates_without_texture_are_rejected(image, box, message):
+def test_template_without_texture_is_rejected(image, message):
     with pytest.raises(ValueError, match=message):
-        ESMTracker(image, box)
+        ESMTracker(image, (10, 10, 40, 40))
 
 
-def test_box_may_touch_each_border_of_the_image():
-    image = mixed_texture((80, 90), np.random.default_rng(1)).astype(np.uint8)
-    for x, y in ((0, 0), (90 - 40, 0), (0, 80 - 40), (90 - 40, 80 - 40)):
-        track = ESMTracker(image, (x, y, 40, 40)).track(image)
-        assert not track.lost
-        assert np.abs(track.center - (x + 19.5, y + 19.5)).max() < 0.01
-    for box in ((51, 0, 40, 40), (0, 41, 40, 40)):
-        with pytest.raises(ValueError, match="must lie in"):
-            ESMTracker(image, box)
+@pytest.mark.parametrize("x", [0, 90 - 40])
+@pytest.mark.parametrize("y", [0, 80 - 40])
+def test_box_may_touch_each_border_of_the_image(x, y):
+    track = ESMTracker(IMAGE, (x, y, 40, 40)).track(IMAGE)
+    assert not track.lost
+    np.testing.assert_allclose(track.center, (x + 19.5, y + 19.5), atol=0.01)
 
 
 def test_color_frames_are_tracked_by_their_luminance():
@@ -332,3 +258,19 @@ def test_gripper_that_moves_by_most_of_its_window_is_found_or_lost():
         by = np.array([rng.uniform(-10, 10), rng.choice([-1, 1]) * rng.uniform(30, 40)])
         track = tracker.track(scene.frame(by, rng))
         assert track.lost or np.abs(track.corners[0] - scene.box(50)[:2] - by).max() < 1
+
+
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+def test_pickled_tracker_continues_as_the_original(motion):
+    """With its filter, what it knows of the light and the noise, and the place it looks next."""
+    frames, _ = film(lost=[4])
+    kalman = KalmanFilter((84, 84), interval=0.05, acceleration=1000.0, noise=0.1)
+    tracker = ESMTracker(frames[0], (60, 60, 49, 49), motion, kalman=kalman)
+    copy = pickle.loads(pickle.dumps(tracker))
+    original = [tracker.track(frame).to_dict() for frame in frames[1:]]
+    rows = []
+    for frame in frames[1:]:
+        rows.append(copy.track(frame).to_dict())
+        copy = pickle.loads(pickle.dumps(copy))
+    assert rows == original
+    assert [row["lost"] for row in rows] == [k == 4 for k in range(1, 8)]

@@ -164,7 +164,18 @@ def tukey(residual: Array, scale: float) -> Array:
 
 
 def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
-    """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight."""
+    """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from microlib.tracking.robust._photometric import _tukey_slope, tukey
+    >>> residual = np.linspace(-6, 6, 9)
+    >>> near = residual + [[-1e-6], [1e-6]]
+    >>> difference = np.diff(near * tukey(near, 1.2), axis=0)[0] / 2e-6
+    >>> np.allclose(_tukey_slope(tukey(residual, 1.2), residual, 1.2), difference, atol=1e-8)
+    True
+    """
     square = (residual / (_TUKEY * scale)) ** 2
     # The weight is inliers·(1 − u²)², the slope inliers·(1 − u²)(1 − 5u²).
     return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
