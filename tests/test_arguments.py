@@ -141,6 +141,9 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "servoing.ibvs_control.jacobian": SINGULAR,
     "servoing.optimal_control.control_weight": NOT_DEFINITE,
     "servoing.optimal_control.feature_weight": NOT_DEFINITE,
+    "servoing.servo.jacobian": SINGULAR,
+    "servoing.servo.test_move": (500.0, 80.0),  # beyond the travel, and beyond the step
+    "servoing.simulate.reference": (np.full((3, 2), 9e4),),
     "servoing.path_metrics.position": (np.zeros((1, 2)),),
     "servoing.step_metrics.target": (fuzz.valid_call("servoing.step_metrics")["position"][0],),
     "servoing.step_metrics.time": (np.zeros(25), np.arange(24.0)),

@@ -76,6 +76,21 @@ def turned(angle: float, scale: float, mirrored: bool) -> NDArray:
     return scale * turn @ np.diag([1.0, -1.0 if mirrored else 1.0])
 
 
+def load_microscope(configuration: Path) -> MicroManager:
+    """Return the microscope of a configuration file of Micro-Manager.
+
+    Raises
+    ------
+    ImportError
+        If ``pymmcore-plus`` is not installed.
+    """
+    from pymmcore_plus import CMMCorePlus
+
+    core = CMMCorePlus()
+    core.loadSystemConfiguration(str(configuration))
+    return MicroManager(core)
+
+
 def demo_microscope() -> MicroManager:
     """Return Micro-Manager's demo microscope, in the mode whose picture depends on the stage.
 
@@ -91,7 +106,7 @@ def demo_microscope() -> MicroManager:
     """
     from pymmcore_plus import find_micromanager
 
-    microscope = MicroManager(Path(find_micromanager() or "") / "MMConfig_demo.cfg")
+    microscope = load_microscope(Path(find_micromanager() or "") / "MMConfig_demo.cfg")
     microscope.core.setProperty("Camera", "Mode", "Fluorescent Beads")
     return microscope
 
@@ -153,7 +168,7 @@ def open_microscope(configuration: str) -> tuple[Any, SimulatedWorkstation | Non
     if configuration == "demo":
         return demo_microscope(), None
     if configuration:
-        return MicroManager(Path(configuration)), None
+        return load_microscope(Path(configuration)), None
     scope = make_scope(1, jacobian=turned(2.2, 0.2, mirrored=True))
     return scope.workstation, scope.truth
 

@@ -7,9 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, positive, same_length, scalar, whole
 
-#: Samples; a longer delay is one in ms, and the poles of its loop would take minutes.
-MOST_DELAY = 200
-
 
 def point_jacobian(
     points: ArrayLike, *, depth: ArrayLike, magnification: float, pixel_size: ArrayLike
@@ -223,7 +220,8 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
     array([0.9, 0.9, 0. ])
     """
     g = scalar("gain", gain, above=0)
-    samples, part = divmod(scalar("delay", delay, least=0, most=MOST_DELAY), 1.0)
+    # A longer delay is one in ms: the poles of a thousand samples take ten seconds.
+    samples, part = divmod(scalar("delay", delay, least=0, most=200), 1.0)
     polynomial = np.zeros(int(samples) + 3)
     polynomial[:2] = 1.0, -1.0
     polynomial[-2:] += g * (1.0 - part), g * part
@@ -358,8 +356,6 @@ class PredictiveController(OptimalController):
             control_weight=control_weight,
         )
         self._delay = scalar("delay", delay, least=0) / scalar("interval", interval, above=0)
-        if self._delay > MOST_DELAY:
-            raise ValueError(f"delay must be at most {MOST_DELAY} intervals, got {self._delay:g}")
         self._limit = scalar("saturation", saturation, above=0)
         self._innovation_gain = scalar("innovation_gain", innovation_gain, least=0, most=1)
         self._part = self._delay - int(self._delay)

@@ -10,7 +10,6 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.servoing._devices import EndRun, wait_until_still
-from microlib.servoing._log import add_event, new_row, put
 from microlib.servoing._motion import (
     MOST_RELATIVE_ERROR,
     NOT_CALIBRATED,
@@ -47,6 +46,30 @@ class Settings:
     step: float | None
     timeout: float
     progress: Callable[[dict[str, Any]], object] | None
+
+
+#: The columns of the log, the same whatever was steered.
+_COLUMNS = (
+    *("time_s", "phase", "target", "reference_x_px", "reference_y_px", "measured_x_px"),
+    *("measured_y_px", "lost", "stage_x_um", "stage_y_um", "command_x_um", "command_y_um"),
+    *("latency_s", "event"),
+)
+
+
+def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
+    """Return a row of the log without measurements."""
+    about = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
+    return dict.fromkeys(_COLUMNS, np.nan) | about
+
+
+def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
+    """Enter both axes of a quantity."""
+    row[f"{name}_x_{unit}"], row[f"{name}_y_{unit}"] = map(float, value)
+
+
+def add_event(row: dict[str, Any], event: str) -> None:
+    """Add an event to those of the row."""
+    row["event"] = "; ".join(filter(None, (row["event"], event)))
 
 
 @dataclass(frozen=True)

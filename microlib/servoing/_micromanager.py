@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from os import PathLike
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,13 +15,11 @@ from microlib._common import Array, as_array
 class MicroManager:
     """The devices of a Micro-Manager core, under the calls that `servo` makes.
 
-    Needs ``pymmcore-plus``: ``pip install pymmcore-plus``.
-
     Parameters
     ----------
-    core : pymmcore_plus.CMMCorePlus or subclass, or path-like
-        A core whose devices are loaded, or a configuration file (``.cfg``) to load into a new one.
-        Its camera and XY stage are those that the core calls its own.
+    core : pymmcore_plus.CMMCorePlus or subclass
+        A core whose devices are loaded, ``core.loadSystemConfiguration("microscope.cfg")``. Its
+        camera and XY stage are those that the core calls its own.
 
     Attributes
     ----------
@@ -39,9 +36,7 @@ class MicroManager:
     Raises
     ------
     ValueError
-        If there is no such file, it cannot be loaded, or the core has no camera or no XY stage.
-    ImportError
-        If a file is given and ``pymmcore-plus`` is not installed.
+        If the core has no camera or no XY stage.
 
     Notes
     -----
@@ -52,10 +47,8 @@ class MicroManager:
     """
 
     def __init__(self, core: Any) -> None:
-        if isinstance(core, (str, PathLike)):
-            core = _load(core)
         if not callable(getattr(core, "getXYStageDevice", None)):
-            raise ValueError(f"core must be a core or a path, got {type(core).__name__}")
+            raise ValueError(f"core must be a CMMCorePlus, got {type(core).__name__}")
         label = core.getXYStageDevice()
         if not core.getCameraDevice() or not label:
             raise ValueError(
@@ -74,20 +67,6 @@ class MicroManager:
         start = self.clock.now()
         self.core.snapImage()
         return self.core.getImage(), start + half
-
-
-def _load(path: str | PathLike[str]) -> Any:
-    # Not at the top: the library works without the engine.
-    try:
-        from pymmcore_plus import CMMCorePlus
-    except ImportError as error:
-        raise ImportError("MicroManager needs pymmcore-plus: pip install pymmcore-plus") from error
-    core = CMMCorePlus()
-    try:
-        core.loadSystemConfiguration(str(path))
-    except (OSError, RuntimeError) as error:
-        raise ValueError(f"core must be a configuration that loads, got {path}: {error}") from None
-    return core
 
 
 class _EngineStage:

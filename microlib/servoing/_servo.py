@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Tidy, as_array, positive, scalar
 from microlib.servoing._control import full_rank
 from microlib.servoing._devices import EndRun, check_devices, ignored_interrupts, stop_stage
-from microlib.servoing._log import add_event, as_frame, new_row, put
-from microlib.servoing._loop import USED, Loop, Settings
+from microlib.servoing._loop import USED, Loop, Settings, add_event, new_row, put
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,12 +218,14 @@ def servo(
 
 
 def _result(loop: Loop, reason: str, still: bool, error: BaseException | None) -> ServoRun:
+    import pandas as pd  # here, as it takes long to import
+
     last = new_row(loop.now(), "end", -1)
     with suppress(Exception):  # the reason states already what failed
         put(last, "stage", loop.workstation.stage.position(), "um")
     add_event(last, reason or "done")
     return ServoRun(
-        log=as_frame([*loop.rows, last]),
+        log=pd.DataFrame([*loop.rows, last]),
         reached=loop.reached,
         reason=reason,
         still=still,

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from compendium.experiments.microscope import make_scope, reach
+from compendium.experiments.microscope import SHAPE, make_scope, reach
 from microlib.servoing import Stage, servo
 
 
@@ -23,28 +23,8 @@ def press_ctrl_c(call, *arguments):
     return call(*arguments)
 
 
-def changed(change):
-    """Return what a camera does whose frames are changed."""
-
-    def snap(call):
-        frame, exposed = call()
-        return change(frame), exposed
-
-    return snap
-
-
-def frozen():
-    first = []
-
-    def snap(call):
-        frame, exposed = call()
-        first.append(frame)
-        return first[0], exposed
-
-    return snap
-
-
-NOISE = np.random.default_rng(0).integers(0, 255, (240, 320))
+NOISE = np.random.default_rng(0).integers(0, 255, SHAPE, dtype=np.uint8)
+AT_HOME, _ = make_scope(0).workstation.camera.snap()
 BROKEN = r"^OSError: busy$"
 OFF = r"^(calibration rejected|the image does not follow|lost|the stage is beyond)"
 #: The method that fails, what it does instead, given the method and its arguments, and the reason.
@@ -54,12 +34,17 @@ FAULTS = {
     "position error": ("stage.position", fail, BROKEN),
     "track error": ("tracker.track", fail, BROKEN),
     "progress error": ("progress.call", fail, BROKEN),
-    "black": ("camera.snap", changed(lambda frame: 0 * frame), "^lost: "),
-    "noise": ("camera.snap", changed(lambda frame: NOISE.astype(frame.dtype)), "^lost: "),
-    "other size": ("camera.snap", changed(lambda frame: frame[:-2]), "^ValueError: "),
-    "frozen": ("camera.snap", frozen(), OFF),
+    "black": ("tracker.track", lambda track, frame: track(0 * frame), "^lost: "),
+    "noise": ("tracker.track", lambda track, frame: track(NOISE), "^lost: "),
+    "other size": ("tracker.track", lambda track, frame: track(frame[:-2]), "^ValueError: "),
+    "frozen": ("tracker.track", lambda track, frame: track(AT_HOME), OFF),
     "stuck": ("stage.move_to", lambda *_: None, OFF),
     "reversed": ("stage.move_to", lambda move, to: move(2 * move.__self__.position() - to), OFF),
+    "overshoot": (
+        "stage.move_to",
+        lambda move, to: move(100 * to),
+        "^the stage is beyond the travel",
+    ),
     "never arrives": (
         "stage.moving",
         lambda call: True,
@@ -78,16 +63,14 @@ def run_with(method, instead, first):
     """
     # Slow enough that moves take time, which an interrupt can come in.
     scope = make_scope(0, stage=Stage(saturation=1000.0))
-    tracker, workstation = scope.tracker(), scope.workstation
-    parts = {**vars(workstation), "tracker": tracker}
-    parts["progress"] = progress = SimpleNamespace(call=lambda row: None)
-    stage, camera = workstation.stage, workstation.camera
-    travel, frames, ways, position = 60.0 / scope.scale, [], [0.0], stage.position
+    tracker, stage, camera = scope.tracker(), scope.workstation.stage, scope.workstation.camera
+    progress = SimpleNamespace(call=lambda row: None)
+    parts = {"tracker": tracker, "stage": stage, "camera": camera, "progress": progress}
     owner, name = parts[method.split(".")[0]], method.split(".")[1]
+    travel, frames, ways, position = 60.0 / scope.scale, [], [0.0], stage.position
     call = getattr(owner, name)
 
     def spoiled(*arguments):
-        ways.extend(np.abs(position()))
         return instead(call, *arguments) if len(frames) >= first else call(*arguments)
 
     setattr(owner, name, spoiled)
@@ -96,9 +79,11 @@ def run_with(method, instead, first):
     stage.moving = lambda: (ways.extend(np.abs(position())), moving())[1]
     step = 10.0 / scope.scale  # so that the faults on the way come before the target
     given = {"travel": travel, "test_move": step, "step": step, "timeout": 1.0}
+    targets = scope.home + np.array([-35.0, 30.0])
     try:
-        target = scope.home + np.array([-35.0, 30.0])
-        run = servo(workstation, tracker, target, **given, progress=lambda row: progress.call(row))
+        run = servo(
+            scope.workstation, tracker, targets, **given, progress=lambda row: progress.call(row)
+        )
     except KeyboardInterrupt as interrupt:
         run = interrupt.run
     else:  # who called must not go on

@@ -7,31 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from microlib.servoing import (
-    Camera,
-    OptimalController,
-    PredictiveController,
-    SimulatedWorkstation,
-    Stage,
-    optimal_control,
-    servo,
-    simulate,
-    step_metrics,
-)
-from tests.laws import (
-    GOES_ON,
-    NUMBER,
-    SAME,
-    VIEWS,
-    Row,
-    TestedBy,
-    Units,
-    laws_of,
-    px,
-    s,
-    um,
-    unlike,
-)
+from microlib import servoing
+from tests.laws import GOES_ON, NUMBER, SAME, VIEWS, Row, TestedBy, Units, laws_of, px, s, um
 from tests.servoing import test_micromanager
 
 #: px/µm of a camera that is turned, mirrored, and has cells that are not square.
@@ -63,39 +40,35 @@ def sample(u) -> dict:
     return {"k": 2, "measured": origin + STEP * u.px, "reference": origin + PATH * u.px}
 
 
-def used(u) -> PredictiveController:
+def used(u) -> servoing.PredictiveController:
     """Return a controller that has seen two frames, and one without the feature."""
-    control, reference = PredictiveController(**predicting(u)), sample(u)["reference"]
+    control, reference = servoing.PredictiveController(**predicting(u)), sample(u)["reference"]
     for k, seen in enumerate((reference[0], reference[1] + 2 * u.px, np.full(2, np.nan))):
         control(k, seen, reference)
     return control
 
 
-def stage(u) -> Stage:
-    return Stage(400.0 * u.um / u.s, step=0.07 * u.um, travel=900.0 * u.um)
+def stage(u) -> servoing.Stage:
+    return servoing.Stage(400.0 * u.um / u.s, step=0.07 * u.um, travel=900.0 * u.um)
 
 
-def camera(u) -> Camera:
-    return Camera(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
+def camera(u) -> servoing.Camera:
+    return servoing.Camera(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
 
 
-def station(u, image=None, **options) -> dict:
-    """Return a workstation seen through `image`, with the clock and the stage not at zero."""
-    turn = np.eye(2) if image is None else image
-    home, drift = turn @ [u.x0, u.y0], turn @ [0.7, -0.4] * u.px / u.s
-    return {
-        "render": lambda feature: np.zeros((9, 9)),
-        "jacobian": turn @ J * u.px / u.um,
-        "stage": Stage(400.0 * u.um / u.s, step=0.0, travel=9000.0 * u.um),
-        "camera": Camera(0.03 * u.s, latency=0.01 * u.s),
-        "rng": 0,
-        "home": home - turn @ J @ [u.x0_um, u.y0_um] * u.px / u.um - drift * u.t0,
-        "drift": drift,
-    } | options
-
-
-def begun(u, image=None) -> SimulatedWorkstation:
-    found = SimulatedWorkstation(**station(u, image))
+def begun(u) -> servoing.SimulatedWorkstation:
+    """Return a workstation with the clock and the stage not at zero."""
+    drift = np.array([0.7, -0.4]) * u.px / u.s
+    away = J @ [u.x0_um, u.y0_um] * u.px / u.um
+    found = servoing.SimulatedWorkstation(
+        lambda feature: np.zeros((9, 9)),
+        jacobian=J * u.px / u.um,
+        stage=servoing.Stage(400.0 * u.um / u.s, step=0.0, travel=9000.0 * u.um),
+        camera=servoing.Camera(0.03 * u.s, latency=0.01 * u.s),
+        rng=0,
+        home=np.array([u.x0, u.y0]) - away - drift * u.t0,
+        drift=drift,
+    )
     found.clock.sleep(u.t0)
     found.stage.move_to(np.array([u.x0_um, u.y0_um]))
     found.clock.sleep(100.0 * u.s)  # until it is there
@@ -112,10 +85,10 @@ def driven(u, workstation) -> tuple:
     return stage.position(), clock.now(), exposed, workstation.feature
 
 
-def seeing(workstation, lost=(), image=None) -> SimpleNamespace:
+def seeing(workstation, lost=()) -> SimpleNamespace:
     """Return a tracker that knows the truth to 0.02 px, but in the frames with some numbers."""
     rng, frames = np.random.default_rng(1), iter(range(999))
-    noise = rng.normal(0.0, 0.02, (999, 2)) @ (np.eye(2) if image is None else image.T)
+    noise = rng.normal(0.0, 0.02, (999, 2))
 
     def track(frame):
         number = next(frames)
@@ -160,8 +133,8 @@ LAWS = {
         test_micromanager.test_time_of_a_frame_is_the_middle_of_its_exposure,
     ),
     "servoing.OptimalController": Row(weighted, {"gain": um / s / px}),
-    "servoing.OptimalController.__call__": Row(lambda u: {"self": OptimalController(**weighted(u)),
-        **sample(u)}, um / s),
+    "servoing.OptimalController.__call__": Row(
+        lambda u: {"self": servoing.OptimalController(**weighted(u)), **sample(u)}, um / s),
     "servoing.PredictiveController": Row(predicting, {"gain": um / s / px}),
     "servoing.PredictiveController.__call__": Row(lambda u: {"self": used(u), **sample(u)}, um / s,
         laws=GOES_ON),
@@ -184,7 +157,7 @@ LAWS = {
         **LOG, "jacobian": px / um, "jacobian_covariance": px**2 / um**2, "drift": px / s,
         # pictures, and the ticks at which a device is asked
         "misfit": NUMBER}, laws=GOES_ON, fixed=("px", "s")),
-    "servoing.simulate": Row(lambda u: {"controller": OptimalController(**weighted(u)),
+    "servoing.simulate": Row(lambda u: {"controller": servoing.OptimalController(**weighted(u)),
         "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
         "stage": stage(u), "camera": camera(u), "rng": 0,
         "start": np.array([u.x0, u.y0]) - STEP * u.px},
@@ -206,12 +179,12 @@ def test_law_holds(law, name):
 def test_stage_motion_follows_rotation_of_camera(view):
     turn = view.matrix
     plain = {"interval": 0.03, "control_weight": L}
-    control = OptimalController(J, feature_weight=Q, **plain)
-    other = OptimalController(turn @ J, feature_weight=view.covariance(Q), **plain)
+    control = servoing.OptimalController(J, feature_weight=Q, **plain)
+    other = servoing.OptimalController(turn @ J, feature_weight=view.covariance(Q), **plain)
     np.testing.assert_allclose(other.gain @ turn, control.gain, rtol=1e-9)
-    loop = {"stage": Stage(400.0), "camera": Camera(0.03, latency=0.04), "rng": 0}
+    loop = {"stage": servoing.Stage(400.0), "camera": servoing.Camera(0.03, latency=0.04), "rng": 0}
     runs = [
-        simulate(c, m @ STEP + PATH @ m.T, jacobian=m @ J, start=m @ [12.0, -5.0], **loop)
+        servoing.simulate(c, m @ STEP + PATH @ m.T, jacobian=m @ J, start=m @ [12.0, -5.0], **loop)
         for c, m in ((control, np.eye(2)), (other, turn))
     ]
     np.testing.assert_allclose(runs[1].feature, view.vectors(runs[0].feature), atol=1e-9)
@@ -221,17 +194,11 @@ def test_stage_motion_follows_rotation_of_camera(view):
 @pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 def test_step_metrics_follow_rotation_of_axes(view):
     given = LAWS["servoing.step_metrics"].arguments(Units())
-    given["position"][1:] += 0.2 * PATH[1:25]  # off the line
+    given["position"] += np.exp(-np.arange(25.0) / 4)[:, None] * [5.0, 2.0]  # off the line
     turned = {name: view.vectors(given[name]) for name in ("position", "target")}
-    assert not [*unlike(step_metrics(**given), step_metrics(**given | turned))]
-
-
-def test_optimal_control_follows_swapped_stage_axes():
-    """And with them its weights: the same motion, told in another order."""
-    given = {"feature": PATH[0], "target": STEP, "interval": 0.03, "feature_weight": Q}
-    one = optimal_control(J, control_weight=L, **given)
-    swapped = optimal_control(J[:, ::-1], control_weight=L[::-1, ::-1], **given)
-    np.testing.assert_allclose(swapped[::-1], one, rtol=1e-9)
+    plain = vars(servoing.step_metrics(**given))
+    assert 0 < plain["settling_time"] < given["time"][-1] - given["time"][0]
+    assert vars(servoing.step_metrics(**given | turned)) == pytest.approx(plain)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -242,7 +209,7 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
     workstation = begun(Units())
     tracker = seeing(workstation, np.flatnonzero(lost))
     given = {"jacobian": J, "travel": 400.0, "step": 6.0}
-    run = servo(workstation, tracker, workstation.feature + STEP, **given, tolerance=0.2)
+    run = servoing.servo(workstation, tracker, workstation.feature + STEP, **given, tolerance=0.2)
     seen = run.log.loc[run.log["phase"] == "servo", "lost"].to_numpy()
     end = len(seen)
     np.testing.assert_array_equal(seen, lost[1 : end + 1])
@@ -255,17 +222,11 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
     assert np.ptp(run.log["latency_s"].dropna()) > 0.003
 
 
-def test_error_of_the_jacobian_remains_after_a_move_and_moves_end_at_the_step():
+def test_relative_error_of_the_jacobian_remains_after_a_move():
     workstation = begun(Units())
-    given = {"jacobian": 1.25 * J, "travel": 400.0, "tolerance": 0.5}
     targets = workstation.feature + STEP
-    log = servo(workstation, seeing(workstation), targets, **given).log
+    given = {"jacobian": 1.25 * J, "travel": 400.0, "tolerance": 0.5}
+    log = servoing.servo(workstation, seeing(workstation), targets, **given).log
     seen = log.loc[log["phase"] == "servo", ["measured_x_px", "measured_y_px"]].to_numpy()
     left = np.linalg.norm(targets - seen, axis=1)
     assert left[1] / left[0] == pytest.approx(1 - 1 / 1.25, abs=0.06)  # drift and noise
-    workstation = begun(Units())
-    log = servo(workstation, seeing(workstation), targets, **given, step=3.0).log
-    first = log[log["phase"] == "servo"].iloc[0]
-    way = [first[f"command_{axis}_um"] - first[f"stage_{axis}_um"] for axis in "xy"]
-    assert np.hypot(*way) == pytest.approx(3.0)
-    assert first["event"] == "limit"

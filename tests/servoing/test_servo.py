@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import make_scope, turned
-from microlib.servoing import Camera, Stage, servo
+from microlib.servoing import Stage, servo
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
 AWAY = np.array([30.0, -25.0])
@@ -36,8 +36,9 @@ def test_targets_are_reached_and_every_frame_is_logged(kind):
     assert run.reason == ""
     np.testing.assert_allclose(scope.moved(), AWAY, atol=0.12)
     log = run.log
-    others = {"phase": object, "target": np.int64, "lost": bool, "event": object}
-    assert all(kind == others.get(name, np.float64) for name, kind in log.dtypes.items())
+    others = log.drop(columns=["phase", "event"]).dtypes.astype(str).to_dict()
+    assert (others.pop("target"), others.pop("lost")) == ("int64", "bool")
+    assert set(others.values()) == {"float64"}
     assert (np.diff(log["time_s"]) > 0).all()
     assert list(log["phase"].unique()) == ["start", "calibration", "servo", "end"]
     assert log["event"].iloc[-2:].tolist() == ["reached", "done"]
@@ -52,14 +53,9 @@ def test_targets_are_reached_and_every_frame_is_logged(kind):
     np.testing.assert_allclose(stood[:8], sent[:8], atol=0.05)
 
 
-def test_calibrated_jacobian_and_drift_agree_with_truth_within_uncertainty():
-    for seed in range(5):
-        scope = scope_of(seed=seed, drift=(1.5, -0.5) if seed == 4 else (0, 0))
-        run = steer(scope, AWAY)
-        error = (run.jacobian - JACOBIAN).ravel()
-        # χ² of 4 degrees of freedom is under 18.5 in 999 of 1000.
-        assert error @ np.linalg.solve(run.jacobian_covariance, error) < 18.5
-        np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
+def test_second_run_with_the_jacobian_of_the_first_needs_no_calibration():
+    scope = scope_of(drift=(1.5, -0.5))
+    run = steer(scope, AWAY)
     # Over half a second of calibration 0.02 px of tracking know 0.1 px/s.
     np.testing.assert_allclose(run.drift, (1.5, -0.5), atol=0.25)
     again = steer(scope, AWAY, jacobian=run.jacobian)
@@ -69,18 +65,11 @@ def test_calibrated_jacobian_and_drift_agree_with_truth_within_uncertainty():
         assert np.isnan(unknown).all()
 
 
-def test_an_uncertain_calibration_is_rejected():
-    run = steer(scope_of(camera=Camera(interval=0.005, jitter=1.5)), AWAY, test_move=8.0)  # 2 px
-    assert "calibration rejected" in run.reason
-    assert "servo" not in run.log["phase"].to_numpy()
-    assert run.jacobian_covariance.max() > 0
-
-
 def test_moves_stay_within_step_and_travel():
     run = steer(scope_of(), AWAY, step=20.0, test_move=20.0, travel=170.0)
     assert run.reached.all()
     way = np.hypot(*np.diff(run.log[["stage_x_um", "stage_y_um"]].to_numpy(), axis=0).T)
-    assert way.max() < 20.0 * 1.02 + 0.1  # rounding of times, and two increments
+    assert way.max() == pytest.approx(20.0, abs=0.5)  # rounding of times, and two increments
     assert run.log["event"].str.contains("limit").sum() >= 5  # 39 px are 156 µm
     # A Jacobian that is too small moves the stage too far: by 312 µm from one target to the other.
     near = 0.7 * np.array(AWAY)
@@ -89,18 +78,6 @@ def test_moves_stay_within_step_and_travel():
     assert run.log["event"].str.contains("travel").any()
     farthest = run.log[["stage_x_um", "stage_y_um"]].abs().max().max()
     assert farthest == pytest.approx(0.99 * 170.0, abs=1.0)
-
-
-def test_stage_beyond_the_travel_is_stopped():
-    scope = scope_of(stage=Stage(saturation=1000.0))
-    stage = scope.workstation.stage
-    move_to = stage.move_to
-    stage.move_to = lambda position: move_to(100.0 * position)
-    run = steer(scope, AWAY, travel=300.0)
-    assert "the stage is beyond the travel" in run.reason
-    # 1000 µm/s over the 2 ms between two questions.
-    assert 300.0 < np.abs(stage.position()).max() < 303.0
-    assert run.still
 
 
 def test_a_target_beyond_the_travel_ends_the_run_before_any_move():
@@ -123,34 +100,23 @@ def test_servo_runs_outside_the_main_thread():
 @pytest.mark.parametrize("between", [0.02, 0.1, 0.2])
 def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     scope = scope_of(stage=Stage(saturation=100.0))
-    calls = {"stop": 0, "move_to": 0}
-    stage = scope.workstation.stage
-
-    def counted(name, call):
-        def counting(*arguments):
-            calls[name] += 1
-            return call(*arguments)
-
-        return counting
-
-    for name in calls:
-        setattr(stage, name, counted(name, getattr(stage, name)))
-    moves = []
+    stage, calls = scope.workstation.stage, []
+    for name in ("move_to", "stop"):
+        call = getattr(stage, name)
+        setattr(stage, name, lambda *to, name=name, call=call: (calls.append(name), call(*to)))
 
     def press(row):
-        if row["target"] == 0 and not moves:
-            moves.append(calls["move_to"])
+        if row["target"] == 0 and "pressed" not in calls:
+            calls.append("pressed")
             os.kill(os.getpid(), signal.SIGINT)
-            again = threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT))
-            again.start()
+            threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     with pytest.raises(KeyboardInterrupt) as caught:
         steer(scope, AWAY, step=20.0, test_move=20.0, progress=press)
-    assert caught.value.run.reason == "interrupted by the user"
-    assert caught.value.run.still
-    assert len(caught.value.run.log) > 8
-    assert calls["stop"] >= 1
-    assert calls["move_to"] == moves[0]
+    run = caught.value.run
+    assert (run.reason, run.still) == ("interrupted by the user", True)
+    assert len(run.log) > 8
+    assert calls[calls.index("pressed") :] == ["pressed", "stop"]
     where = stage.position()
     scope.workstation.clock.sleep(1.0)
     np.testing.assert_array_equal(stage.position(), where)
@@ -159,21 +125,16 @@ def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
 # --- How a run ends, and that it says why -------------------------------------------------------
 
 
-class Still:
-    """A tracker that always answers alike, as on a frozen picture."""
-
-    def __init__(self, center, **more):
-        self.answer = {"center": np.asarray(center, float), "lost": False, **more}
-
-    def track(self, frame):
-        return type("Track", (), self.answer)()
+def seeing(center, **more):
+    """Return a tracker that finds what a function returns."""
+    return SimpleNamespace(track=lambda frame: SimpleNamespace(center=center(), lost=False, **more))
 
 
 def test_run_ends_after_three_moves_that_the_image_does_not_follow():
     scope = scope_of()
     away = AWAY / 3  # three such moves stay in the picture
     given = {"travel": 800.0, "jacobian": JACOBIAN, "tolerance": 0.2}
-    run = servo(scope.workstation, Still(scope.home), scope.home + away, **given)
+    run = servo(scope.workstation, seeing(lambda: scope.home), scope.home + away, **given)
     assert run.reason.startswith("the image does not follow the stage: 3 moves in a row were off")
     # Three moves by what J says that is missing.
     assert "the last [0. 0.] px instead of [10.   -8.33] px" in run.reason
@@ -182,30 +143,23 @@ def test_run_ends_after_three_moves_that_the_image_does_not_follow():
 
 def test_two_wrong_tracks_do_not_end_the_run():
     scope = scope_of()
-    tracker, bad = scope.tracker(), iter([0, 0, 1, 1, 0, 1, 1] + [0] * 20)
-
-    class Wrong:
-        def track(self, frame):
-            track = tracker.track(frame)
-            return Still(track.center + 60.0).track(frame) if next(bad) else track
-
-    run = servo(
-        scope.workstation, Wrong(), scope.home + AWAY, travel=500.0, jacobian=JACOBIAN, step=60.0
-    )
+    bad, feature = iter([0, 0, 1, 1, 0, 1, 1] + [0] * 20), lambda: scope.workstation.feature
+    tracker = seeing(lambda: feature() + 60.0 * next(bad))
+    given = {"travel": 500.0, "jacobian": JACOBIAN, "step": 60.0}
+    run = servo(scope.workstation, tracker, scope.home + AWAY, **given)
     assert run.reached.all()
     assert run.reason == ""
 
 
 def test_tracker_needs_neither_reason_nor_covariance():
     scope = scope_of()
-    answer = {"lost": False, "center": property(lambda _: scope.workstation.feature)}
-    plain = type("Plain", (), {"track": lambda self, frame: type("Track", (), answer)()})()
-    run = servo(scope.workstation, plain, scope.home + AWAY, travel=400.0)
+    tracker = seeing(lambda: scope.workstation.feature)
+    run = servo(scope.workstation, tracker, scope.home + AWAY, travel=400.0)
     assert run.reached.all()
     # Exact but for the focus and the increments of the drive.
     np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
-    answer["lost"] = True
-    run = servo(scope.workstation, plain, scope.home, travel=400.0)
+    tracker.track = lambda frame: SimpleNamespace(lost=True)
+    run = servo(scope.workstation, tracker, scope.home, travel=400.0)
     assert run.reason == "lost: lost in the first frame"
 
 
@@ -216,19 +170,6 @@ def test_error_names_a_missing_device_method():
         parts = {name: SimpleNamespace(**dict.fromkeys(has, print)) for name, has in names.items()}
         delattr(parts[part], missing)
         with pytest.raises(ValueError, match=rf"must have {part}\.{missing}\(\), got Simple"):
-            servo(SimpleNamespace(**parts), Still((0, 0)), (0, 0), travel=1.0)
+            servo(SimpleNamespace(**parts), seeing(lambda: (0, 0)), (0, 0), travel=1.0)
     with pytest.raises(ValueError, match="tracker must have a method track, got int"):
         servo(scope_of().workstation, 3, (0, 0), travel=1.0)
-
-
-def test_invalid_arguments_raise_before_any_move():
-    scope = scope_of()
-    for options, message in (
-        ({"test_move": 500.0}, "test_move must be at most 396, got 500"),
-        ({"test_move": 50.0, "step": 20.0}, "test_move must be at most 20, got 50"),
-        ({"jacobian": np.ones((2, 2))}, "jacobian must have full rank"),
-    ):
-        given = {"targets": (0, 0), "travel": 400.0} | options
-        with pytest.raises(ValueError, match=message):
-            servo(scope.workstation, Still((0, 0)), **given)
-    assert not scope.workstation.stage.position().any()
