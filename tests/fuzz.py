@@ -25,14 +25,7 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 
-from microlib import (
-    calibration,
-    embryo,
-    io,
-    membrane,
-    servoing,
-    synthetic,
-)
+from microlib import calibration, embryo, membrane, servoing, synthetic
 from tests.laws import Row, Units, resolve, tables
 
 #: Processor time for one call, s: waiting for other processes does not count.
@@ -45,6 +38,7 @@ _KEPT = tempfile.TemporaryDirectory(prefix="fuzz")
 atexit.register(_KEPT.cleanup)
 FOLDER = Path(_KEPT.name)
 _NUMBER = count()
+DATA = Path(__file__).parents[1] / "data" / "synthetic"
 
 
 @cache
@@ -109,15 +103,13 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "y": 9.0 - 7.0 * np.exp(-(((np.arange(60.0) - 30.0) / 9.0) ** 2))
         - (np.arange(60.0) - 30.0) ** 2 / 300.0,
     },
-    "embryo.read_outline": lambda: {"path": table()},
-    "io.read_grey": lambda: {"path": written()},
+    "embryo.read_outline": lambda: {"path": DATA / "outline.csv"},
+    "io.read_grey": lambda: {"path": DATA / "height_um.tif"},
     "io.write_height_tiff": lambda: {"path": FOLDER / f"{next(_NUMBER)}.tif"},
     "io.write_ply": lambda: {
         "path": FOLDER / f"{next(_NUMBER)}.ply", "image": np.zeros((6, 8), np.uint8)
     },
-    "servoing.servo": lambda: {
-        "jacobian": np.eye(2) * 0.3, "progress": lambda row: None,
-    },
+    "servoing.servo": lambda: {"jacobian": np.eye(2) * 0.3, "progress": lambda row: None},
     "servoing.MicroManager": lambda: {"core": Mock()},
     "servoing.SimulatedWorkstation": lambda: {
         "render": lambda feature: target(), "jacobian": np.eye(2) * 0.3,
@@ -152,18 +144,6 @@ MAY_BE_UNKNOWN = {
     # A run that came to no end, an answer that never settles, a lost target.
     "servoing.servo", "servoing.step_metrics", "tracking.ESMTracker.track",
 }  # fmt: skip
-
-
-def table() -> Path:
-    file = FOLDER / "outline.csv"
-    file.write_text("x,y\n1,2\n2,3.5\n")
-    return file
-
-
-@cache
-def written() -> Path:
-    io.write_height_tiff(FOLDER / "grey.tif", np.ones((4, 5)), pixel_size=1.0)
-    return FOLDER / "grey.tif"
 
 
 def stores_only(name: str) -> bool:

@@ -91,13 +91,8 @@ def public() -> Iterator[str]:
                     yield f"{room}.{name}.{method}"
 
 
-def resolve(name: str) -> Callable:
-    room, *path = name.split(".")
-    value: object = importlib.import_module(f"microlib.{room}")
-    for part in path:
-        value = getattr(value, part)
-    assert callable(value)
-    return value
+def resolve(name: str) -> Any:
+    return pkgutil.resolve_name(f"microlib.{name}")
 
 
 @cache
