@@ -156,6 +156,19 @@ def test_all_inner_corners_of_a_chessboard_are_detected(change):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
+def test_fields_of_random_chessboards_are_single_steps_of_the_grid():
+    """Ten boards; at 0.4.0 one in five had a sublattice, with steps of (2, 1) fields."""
+    rng = np.random.default_rng(12)
+    for _ in range(10):
+        columns, rows = rng.integers(12, 26), rng.integers(8, 18)
+        drawn = {"pitch": rng.uniform(16, 22), "turn": rng.uniform(-0.2, 0.2)}
+        drawn |= {"k1": rng.uniform(-0.05, 0.05), "blur": rng.uniform(0.6, 1.2)}
+        image, corners, truth = chessboard(columns, rows, shape=(480, 640), **drawn)
+        found = detect_squares(image, pattern="chessboard")
+        seen = corners[cKDTree(truth).query(found.points)[1]]
+        np.testing.assert_array_equal(found.grid - found.grid[0], seen - seen[0])
+
+
 def test_asymmetric_grid_is_a_square_lattice():
     """Turned by 45°, with √2 half steps from circle to circle."""
     image, truth = board(ASYMMETRIC, size=0.35, pitch=26.0)

@@ -57,6 +57,21 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
     assert read(tmp_path / f"{names[3]}.png") == [3]
 
 
+def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
+    """Forty random stacks, whose names have signs, decimals, zeros in front or none of them."""
+    rng = np.random.default_rng(3)
+    forms = ("scan_{:05.0f}", "IMG{:.0f}", "2 µm, z{:.1f} µm", "a7_{:+.0f}")
+    for case in range(40):
+        count, step = rng.integers(3, 14), rng.choice([1, 2, 5, 10, 25])
+        # A hyphen before all of them is not a sign.
+        first = -step * rng.integers(0, count) if case % 4 == 3 else rng.integers(0, 200)
+        numbers = (first + step * np.arange(count)) / (10 if case % 4 == 2 else 1)
+        folder = tmp_path / str(case)
+        folder.mkdir()
+        names = [forms[case % 4].format(number) for number in numbers]
+        assert read(write(folder, names)) == list(range(count)), names
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [
