@@ -1,9 +1,7 @@
-"""Spike correction against a loop over (3.14), and smoothing on planes, steps and noise."""
+"""Spike correction against a loop over (3.14), and smoothing against fitted planes."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from microlib.focus import correct_spikes, smooth_depth
 
@@ -42,8 +40,9 @@ def planes(depth, mass, jump, radius):
     offsets = [(i, j) for i in steps for j in steps if i * i + j * j <= 4 * radius**2]
     smooth, rest = np.zeros_like(depth), depth.copy()
     for _ in range(2):
-        once = np.empty_like(depth)
-        for (row, col), here in np.ndenumerate(rest):
+        once = rest.copy()
+        for row, col in np.argwhere(mass):
+            here = rest[row, col]
             near = [
                 (i, j, rest[row + i, col + j], mass[row + i, col + j])
                 for i, j in offsets
@@ -63,51 +62,18 @@ def planes(depth, mass, jump, radius):
 
 
 @pytest.mark.parametrize("options", [{}, {"radius": 2.0}, {"radius": 4.4}])
-def test_smooth_depth_equals_local_planes_by_least_squares(options):
+def test_smooth_depth_equals_local_planes_of_known_depths_by_least_squares(options):
+    """On a curved slope with a step of two jumps and a hole."""
     rng = np.random.default_rng(6)
     y, x = np.mgrid[:22, :25]
-    depth = 0.02 * (x - 11) ** 2 + 0.3 * y + rng.standard_normal(x.shape)
+    depth = 0.02 * (x - 11) ** 2 + 0.3 * y + rng.standard_normal(x.shape) + 8.0 * (x + y > 30)
+    depth[12:16, 3:8] = np.nan
+    known = np.isfinite(depth)
     ours = smooth_depth(depth, jump=4.0, **options)
-    wanted = planes(depth, np.ones_like(depth), 4.0, options.get("radius", 7.0))
+    wanted = planes(np.nan_to_num(depth), known.astype(float), 4.0, options.get("radius", 7.0))
+    np.testing.assert_array_equal(np.isfinite(ours), known)
     # Sums in single precision, of depths of some jumps.
-    np.testing.assert_allclose(ours, wanted, atol=1e-4)
-
-
-@settings(deadline=None, max_examples=20)
-@given(
-    rise_x=st.floats(-2, 2),
-    rise_y=st.floats(-2, 2),
-    scale=st.floats(0.1, 10),
-    turn=st.integers(0, 3),
-)
-def test_smoothing_leaves_planes_and_turns_and_scales_with_them(rise_x, rise_y, scale, turn):
-    y, x = np.mgrid[0:24, 0:30].astype(float)
-    plane = scale * (rise_x * x + rise_y * y)
-    smooth = smooth_depth(np.rot90(plane, turn), jump=5 * scale, radius=2.0)
-    inner = np.s_[8:-8, 8:-8]  # twice the reach of 4 px
-    np.testing.assert_allclose(
-        smooth[inner], np.rot90(plane, turn)[inner], atol=2e-5 * scale * (1 + np.abs(plane).max())
-    )
-
-
-def test_smoothing_cuts_noise_and_keeps_a_step():
-    rng = np.random.default_rng(1)
-    truth = np.where(np.arange(64) < 32, 0.0, 5.0) + np.zeros((64, 1))
-    noisy = truth + 0.1 * rng.standard_normal(truth.shape)
-    error = (smooth_depth(noisy, jump=1.5) - truth)[8:-8, 8:-8]
-    # 37 neighbors weighted by a Gaussian are worth some 20; twicing doubles the variance at most:
-    # 0.1 sqrt(2 / 20) = 0.032 on open ground, a third more beside the step.
-    assert error.std() < 0.042
-    assert np.abs(error[:, 20:28]).max() < 0.2  # five times that, next to the step as well
-
-
-def test_smooth_depth_ignores_and_keeps_nan():
-    depth = np.tile(np.arange(30.0), (30, 1))
-    depth[10:14, 10:14] = np.nan
-    smooth = smooth_depth(depth, jump=100.0)
-    np.testing.assert_array_equal(np.isnan(smooth), np.isnan(depth))
-    known = ~np.isnan(depth)
-    np.testing.assert_allclose(smooth[known], depth[known], atol=0.06)  # stiffness at the border
+    np.testing.assert_allclose(ours[known], wanted[known], atol=1e-4)
 
 
 def test_map_of_nan_is_returned_as_a_copy():

@@ -65,7 +65,9 @@ def test_default_measure_recovers_a_dome(dome):
     assert rms(inner(result.depth - height)) < 0.045 * STEP
     assert result.depth.dtype == np.float32
     assert not result.at_end.any()
+    assert repr(result).startswith("FocusResult(92×100 px, 100.0 % known, depth ")
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
+    assert result != plain  # by identity
     assert rms(inner(result.depth - height)) < 0.6 * rms(inner(plain.depth - height))
     # The noise of 2 grey levels is in the frames and in the image from all of them.
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
@@ -119,17 +121,6 @@ def test_region_equals_cropped_frames(dome):
     assert part.depth.shape == (40, 60)
     reduced = depth_from_focus(stack, POSITIONS, reduce=2)
     assert reduced.depth.shape == (46, 50)
-
-
-def test_result_has_a_repr_of_one_line_and_is_compared_by_identity(dome):
-    _, stack = dome
-    result = depth_from_focus(stack, POSITIONS)
-    assert repr(result).startswith("FocusResult(92×100 px, ")
-    assert "\n" not in repr(result)
-    assert result != depth_from_focus(stack, POSITIONS)
-    nothing = depth_from_focus(np.zeros((3, 9, 9), np.uint8), np.arange(3.0))
-    assert repr(nothing) == "FocusResult(9×9 px, 0.0 % known)"
-    assert nothing.to_dict()["depth_median"] is None
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (2, 40), (40, 2), (1, 1), (7, 9)])
@@ -186,13 +177,15 @@ def test_heights_beyond_the_scan_are_flagged_and_as_uncertain_as_a_random_depth(
 @pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize(("dtype", "drift"), [("u1", 0), ("u1", 5), ("u2", 5), ("f4", 5)])
 def test_depth_is_nan_where_frames_are_uniform(measure, dtype, drift):
-    """Nor does a change of light alone."""
+    """Also where the light changes."""
     frames = [np.full((40, 44), 77 + drift * k, dtype) for k in range(12)]
     result = depth_from_focus(frames, np.arange(12.0), measure=measure)
     assert np.isnan(result.depth).all()
     assert np.isnan(result.uncertainty).all()
     assert (result.confidence == 0).all()
     assert (result.index == -1).all()
+    assert repr(result) == "FocusResult(40×44 px, 0.0 % known)"
+    assert result.to_dict()["depth_median"] is None
 
 
 @pytest.mark.parametrize("measure", NAMES)
