@@ -19,7 +19,6 @@ from microlib.focus.multiscale._relief import (
     find_relief,
     locking_attenuation,
     peak_locking_bias,
-    step_height,
 )
 from microlib.focus.multiscale._settings import Settings
 
@@ -89,12 +88,8 @@ def thin_object_error(
 
 
 def enlarge(refined: Refined, shape: tuple[int, ...]) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return the depth at full size and where it is known; the nearest one at steps."""
+    """Return the depth at full size and where it is known."""
     known = np.isfinite(refined.depth)
-    full = doubled(fill_nearest(refined.depth), shape)
     relief = np.where(known, refined.relief, np.float32(0))
-    full = full + doubled(relief, shape, cv2.INTER_CUBIC)
-    both = fill_nearest(refined.depth + refined.relief)
-    step = doubled_mask(step_height(both) > 2, shape)
-    full[step] = doubled(both, shape, cv2.INTER_NEAREST)[step]
+    full = doubled(fill_nearest(refined.depth), shape) + doubled(relief, shape, cv2.INTER_CUBIC)
     return full, doubled_mask(known, shape)
