@@ -281,10 +281,6 @@ def barred(image: np.ndarray, end: int, left: int) -> np.ndarray:
     return image
 
 
-def ground() -> np.ndarray:
-    return np.random.default_rng(1).normal(190.0, 2.0, (320, 480)).clip(0, 255).astype(np.uint8)
-
-
 def hollow() -> np.ndarray:
     """A bar whose middle is no darker than half-way to the ground, so that no row has an edge."""
     image = np.full((200, 400), 200.0)
@@ -306,7 +302,7 @@ ONE_SIDE = "image must show an embryo's outline on both sides of the probe"
 FLAT = "image must show a dimple at least 3 px deep"
 #: Images that do not show what is needed, and what is said of them.
 SPOILED = {
-    "no embryo": (lambda: barred(ground(), 130, 234), ONE_SIDE),
+    "no embryo": (lambda: barred(np.full((320, 480), 190, np.uint8), 130, 234), ONE_SIDE),
     "probe beside": (lambda: barred(bare(), 200, 30), ONE_SIDE),
     "half of it": (lambda: image()[:, 222:], ONE_SIDE),
     "probe above": (lambda: barred(bare(), 60, 234), FLAT),
