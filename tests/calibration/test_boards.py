@@ -28,6 +28,17 @@ SCATTERED = SQUARE + np.random.default_rng(4).uniform(-0.08, 0.08, SQUARE.shape)
 RANDOM = SQUARE * 1.2 + np.random.default_rng(0).uniform(-0.35, 0.35, SQUARE.shape)
 
 
+WITHOUT = {
+    "saturated": np.full((100, 120), 255.0),
+    "black": np.zeros((100, 120)),
+    "color": np.zeros((50, 50, 3)),
+    "noise": np.random.default_rng(8).normal(128, 10, (200, 200)),
+    "ramp": np.add.outer(np.arange(100.0), np.arange(120.0)),
+    "columns": np.tile([0, 255], (40, 40)),
+    "one line": np.eye(60) * 255,
+}
+
+
 def beside(found, truth: np.ndarray) -> np.ndarray:
     """Distances per coordinate to the nearest true points."""
     return found.points - truth[cKDTree(truth).query(found.points)[1]]
@@ -193,6 +204,13 @@ def test_detector_rejects_another_pattern(shown, asked):
         return
     with pytest.raises(ValueError, match="image must show"):
         DETECTORS[asked](image)
+
+
+@pytest.mark.parametrize("detect", [*DETECTORS.values(), detect_pattern], ids=[*DETECTORS, "any"])
+@pytest.mark.parametrize("shown", WITHOUT)
+def test_images_without_a_pattern_are_rejected(shown, detect):
+    with pytest.raises(ValueError, match="image"):
+        detect(WITHOUT[shown])
 
 
 @pytest.mark.parametrize("shown", ["circles", "squares", "chessboard"])

@@ -14,12 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from compendium import thesis
-from microlib.calibration import (
-    detect_circles,
-    detect_micrometer,
-    detect_pattern,
-    detect_squares,
-)
+from microlib.calibration import detect_circles, detect_squares
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 from tests.calibration.scenes import outline
@@ -179,24 +174,3 @@ def test_table_of_detection_has_its_columns_in_order():
     for pair in ("grid", "positions", "points"):
         columns = [f"{pair}_{name}" for name in ("ij" if pair == "grid" else "xy")]
         np.testing.assert_array_equal(table[columns], getattr(found, pair))
-
-
-@pytest.mark.parametrize(
-    "detect", [detect_circles, detect_squares, detect_micrometer, detect_pattern]
-)
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.full((100, 120), 255.0),
-        np.zeros((100, 120)),
-        np.zeros((50, 50, 3)),
-        np.random.default_rng(8).normal(128, 10, (200, 200)),
-        np.add.outer(np.arange(100.0), np.arange(120.0)),
-        np.tile([0, 255], (40, 40)),
-        np.eye(60) * 255,
-    ],
-    ids=["saturated", "black", "color", "noise", "ramp", "columns", "one line"],
-)
-def test_images_without_a_pattern_are_rejected(detect, image):
-    with pytest.raises(ValueError, match="image"):
-        detect(image)

@@ -87,14 +87,11 @@ LAWS = {
         lambda u: {"self": calibrated(u.um), "level": 0.9}, um, within=SEARCHED
     ),
     "calibration.Calibration.to_json": TestedBy(
-        test_stage.test_json_describes_the_camera_to_other_programs
-    ),
+        test_stage.test_json_describes_the_camera_to_other_programs),
     "calibration.Calibration.from_json": TestedBy(
-        test_stage.test_calibration_survives_json_and_csv
-    ),
+        test_stage.test_calibration_survives_json_and_csv),
     "calibration.Detection": TestedBy(
-        test_boards.test_points_are_accurate_for_any_marks_blur_and_noise
-    ),
+        test_boards.test_points_are_accurate_for_any_marks_blur_and_noise),
     **{
         f"calibration.{detect}": Row(lambda u, shown=shown: {"image": photographed(u, shown)}, unit,
             within=SINGLE)
@@ -116,8 +113,7 @@ LAWS = {
         within=1e-6,
     ),
     "calibration.detect_charuco": TestedBy(
-        test_charuco.test_inverted_charuco_board_has_the_same_corners
-    ),
+        test_charuco.test_inverted_charuco_board_has_the_same_corners),
     "calibration.linear_intrinsics": Row(
         lambda u: {
             "flat": FLAT[:, :2] * u.um,
