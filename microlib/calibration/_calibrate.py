@@ -128,10 +128,9 @@ def calibrate(
     views = Views([w for w, _ in pairs], [i for _, i in pairs], frame, focal_length)
     fit, alone = fit_views(views)
     fit = add_lens_terms(views, fit)
-    if not (fit.poses[:, 0] > 0).all():
-        raise ValueError(
-            f"world and image must fit a microscope, got magnifications {fit.poses[:, 0]}"
-        )
+    # Wrong units lead to a magnification below zero, or to residuals as large as the image.
+    if not (fit.poses[:, 0] > 0).all() or np.sqrt(views.residual_variance(fit)) > max(size) / 20:
+        raise views.refusal
     return _build_result(views, fit, alone, _mark_numbers(views, fit, marks))
 
 

@@ -54,6 +54,19 @@ class Views:
     frame: Microscope
     focal_length: float | None
 
+    @property
+    def refusal(self) -> ValueError:
+        """The error for points that no microscope fits."""
+        if self.focal_length is None:
+            return ValueError(
+                "world and image must fit one microscope, none was found: "
+                "leave out the outlying views"
+            )
+        return ValueError(
+            f"focal_length must fit each view in focus, got {self.focal_length:g} µm: "
+            "better leave it out"
+        )
+
     def subset(self, which: ArrayLike) -> Views:
         """The views with the given indices."""
         world, image = ([each[v] for v in np.asarray(which)] for each in (self.world, self.image))
@@ -202,14 +215,10 @@ def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[i
         points, jacobian = views.predict(*split(np.frombuffer(values)))
         return (points - image).ravel(), jacobian.reshape(-1, len(start))[:, free]
 
-    given = views.focal_length
-    need = "world and image must fit one microscope, none was found: leave out the outlying views"
-    if given is not None:
-        need = f"focal_length must fit each view in focus, got {given:g} µm: better leave it out"
     if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
         start[1] = 0.0  # the linear κ of a wide-angle lens may lie outside the domain of distort
     if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
-        raise ValueError(need)
+        raise views.refusal
     found = least_squares(
         lambda values: evaluate(values.tobytes())[0],
         start[free],
@@ -224,7 +233,7 @@ def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[i
     # Parallel views determine no focal length: the search does not end in the flat valley of their
     # minimum, where its residuals are those of the noise. Here they are above a pixel, rms.
     if found.status == 0 and len(poses) > 1 and found.cost > len(image):
-        raise ValueError(need)
+        raise views.refusal
     residuals, jacobian = evaluate(found.x.tobytes())
     lens, _ = split(found.x)
     # The images are equal with −1/(T_op + f) and the opposite tilts (β, γ).

@@ -264,7 +264,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
 @pytest.mark.parametrize("views", [1, 3])
 def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise):
     """Of exact points, the last bit of which is random; with f given, the tilt is known."""
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         f = 2e5 / rng.uniform(0.8, 5)
         lens = 2e5, f, f**2 / 2e5, rng.choice([0.0, -8.4e-10, 5e-10])
@@ -351,12 +351,11 @@ NO_SIZE = {"pixel_size": 9.9}
         ({"world": [WORLD] * 2, "image": [IMAGE], **SENSOR}, "image must hold .* the 2 views"),
         ({"world": [WORLD] * 2, "image": np.array(np.nan), **SENSOR},
             "image must hold one array for each of the 2 views"),
-        # Of 1.5 µm: seconds, and then magnifications of both signs.
-        (
-            {**dict(zip(("world", "image"), lens_views(2), strict=True)), "focal_length": 1.5,
-                **CAMERA},
-            "focal_length must fit each view .* got 1.5 µm",
-        ),
+        # In mm instead of µm: residuals were as large as the image, and found adequate.
+        ({"world": WORLD, "image": IMAGE, "focal_length": 126, **SENSOR},
+            "focal_length must fit each view .* got 126 µm"),
+        ({"world": [WORLD] * 2, "image": [IMAGE] * 2, "focal_length": 1.5, **SENSOR},
+            "focal_length must fit each view .* got 1.5 µm"),
         ({"world": FOUND, **NO_SIZE}, "pitch must be given"),
         ({"world": FOUND, "pitch": 400, **SENSOR}, "must not be given with"),
         ({"world": [FOUND, WORLD], "pitch": 400, **NO_SIZE}, "either detections or points"),
