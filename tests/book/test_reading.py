@@ -93,6 +93,7 @@ def test_verdict_bars_count_all_claims_and_filter_table(page: Page, html: Path) 
 def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
     for query, first in (
         ("equation (4.7)", "Equation (4.7): "),
+        ("5.6", "Section 5.6"),  # before the table and the figure of that number
         ("0.1012", "Relative probe width"),
         ("1.32", "Elastic modulus"),  # the first digits of 1.3237
         ("6.386", "Magnification, circle 4X"),  # 6.3859, rounded
