@@ -54,12 +54,8 @@ def records() -> dict[str, ledger.Record]:
 def facets(claim: ledger.Claim) -> dict[str, str]:
     """Return what the list of claims can be narrowed by, as the address has it."""
     star, by = "starred" if claim.star else "unstarred", claim.compared or "not compared"
-    return {
-        "verdict": claim.verdict,
-        "star": star,
-        "by": by,
-        "part": ledger.part_of(claim).split()[0],
-    }
+    part = ledger.part_of(claim).split()[0]
+    return {"verdict": claim.verdict, "star": star, "by": by, "part": part}
 
 
 def count_class(claim: ledger.Claim) -> str:
@@ -74,9 +70,8 @@ def count_class(claim: ledger.Claim) -> str:
         return CLASSES[claim.compared]
     if claim.undecided:
         return "because the thesis leaves a choice open"
-    return (
-        "because the simulation gives a bound only" if claim.bound else "because data are missing"
-    )
+    missing = "the simulation gives a bound only" if claim.bound else "data are missing"
+    return f"because {missing}"
 
 
 def count_by_class(verdict: str) -> Counter[str]:
@@ -169,10 +164,9 @@ class VerdictMap(SphinxDirective):
             pieces = []
             for verdict, star in product(ORDER, ("unstarred", "starred")):
                 if count := counts[part, verdict, star]:
-                    query = urlencode({"verdict": verdict, "star": star, "part": part.split()[0]})
-                    pieces.append(
-                        {"verdict": verdict, "star": star, "count": count, "query": query}
-                    )
+                    piece = {"verdict": verdict, "star": star}
+                    query = urlencode(piece | {"part": part.split()[0]})
+                    pieces.append(piece | {"count": count, "query": query})
             parts.append((part, pieces, max(totals.values()) - total))
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
         context = {"parts": parts, "order": ORDER, "star": ledger.STAR, "page": page}
@@ -255,10 +249,8 @@ class Differences(SphinxDirective):
                 if not claim.printed:
                     rule = claim.rule.replace("must be", "is")
                     thesis = f"The thesis states: {claim.says}. This statement holds if {rule}."
-                what, where, thesis, note = (
-                    escape(text, quote=False)
-                    for text in (claim.what, claim.where, thesis, claim.note)
-                )
+                texts = (claim.what, claim.where, thesis, claim.note)
+                what, where, thesis, note = (escape(text, quote=False) for text in texts)
                 text = f"- **{what}** ({where}). {{verdict}}`{claim.id}` {thesis} "
                 text += f"The recomputed number is {{recomputed}}`{claim.id}`. {note}"
                 lines[claim.cause].append(text)
