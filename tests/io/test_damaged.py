@@ -87,6 +87,8 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     (r"a\.tif: it is damaged behind page 2", broken_chain),
     (r"page 0 of .*a\.tif cannot be read: .*JPEG2000.* requires the .imagecodecs. package",
         lambda to, f: make.overwrite_tags(make.pages(to / "a.tif", f), Compression=34712)),
+    (r"page 0 of .*a\.tif cannot be read: the file is cut off",
+        lambda to, f: make.content(it := make.pages(to / "a.tif", f[:1]), it.read_bytes()[:-40])),
     (r"frames cannot be read from .*a\.tif: no such file", lambda to, _: to / "a.tif"),
     *((r"a\.tif", lambda to, _, text=text: make.content(to / "a.tif", text))
         for text in (b"", b"no TIFF", b"II*\0", b"II*\0 cut off")),
