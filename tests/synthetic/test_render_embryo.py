@@ -28,9 +28,11 @@ def test_dimple_balances_force_and_stretch(force, modulus, c):
     assert depth == pytest.approx(embryo.dimple_depth, rel=0.01)
 
 
-@pytest.mark.parametrize(("force", "rim"), [(25.0, 580.0), (150.0, 420.0), (290.0, 360.0)])
-def test_volume_is_kept_and_rim_has_its_radius(force, rim):
-    embryo = Embryo.pressed(force, modulus=1.0, rim_radius=rim)
+@pytest.mark.parametrize(
+    ("force", "rim", "c"), [(25.0, 580.0, 25.0), (150.0, 420.0, 140.0), (290.0, 360.0, 25.0)]
+)
+def test_volume_is_kept_and_rim_has_its_radius(force, rim, c):
+    embryo = Embryo.pressed(force, modulus=1.0, rim_radius=rim, probe_half_width=c)
     points = embryo.outline(0.5)
     x, y = points[points[:, 0] >= 0].T
     # Of revolution, by Green: V = π ∮ x² dy, clockwise. The flat bottom has no dy.
