@@ -61,12 +61,8 @@ def test_ibvs_error_decays_exponentially_and_drift_is_compensated():
 
 
 def test_loop_with_one_sample_of_delay_is_stable_below_gain_one():
-    assert (
-        np.abs(servoing.loop_poles(0.999, 1.0)).max()
-        < 1
-        < np.abs(servoing.loop_poles(1.001, 1.0)).max()
-    )
-    assert abs(servoing.loop_poles(0.3)[0]) == pytest.approx(0.7)
+    stable, unstable = (np.abs(servoing.loop_poles(gain, 1.0)).max() for gain in (0.999, 1.001))
+    assert stable < 1 < unstable
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.0, 1.4, 2.0])
@@ -120,18 +116,6 @@ def test_predictive_controller_removes_ringing_under_delay():
     assert calmed.settling_time == pytest.approx(2 * INTERVAL)
 
 
-def test_predictive_controller_has_smaller_error_on_a_noisy_path():
-    arc = np.arange(0, 320, 40 * INTERVAL)  # once around a square of 80 px at 40 px/s
-    corners = 60 + np.array([[0, 0], [80, 0], [80, 80], [0, 80], [0, 0]])
-    path = np.column_stack([np.interp(arc, 80 * np.arange(5), x) for x in corners.T])
-
-    def error(make):
-        runs = [loop(make(), path, jitter=0.1, seed=seed) for seed in range(5)]
-        return np.mean([servoing.path_metrics(run.feature, run.reference).accuracy for run in runs])
-
-    assert error(knowing) < 0.5 * error(plain)
-
-
 def test_lost_frame_stops_optimal_and_is_bridged_by_predictive_controller():
     reference, lost = np.full((4, 2), 30.0), np.full(2, np.nan)
     assert not plain()(1, lost, reference).any()
@@ -171,12 +155,9 @@ def test_predictive_controller_accepts_several_points():
 
 def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
     def shaken(rng):
-        loop = {
-            "stage": servoing.Stage(saturation=1.0),
-            "camera": servoing.Camera(interval=0.5, jitter=0.3),
-        }
+        camera = servoing.Camera(interval=0.5, jitter=0.3)
         still = lambda *_: np.zeros(2)  # noqa: E731
-        return servoing.simulate(still, np.zeros((2000, 2)), jacobian=np.eye(2), rng=rng, **loop)
+        return loop(still, np.zeros((2000, 2)), camera=camera, rng=rng)
 
     run = shaken(4)
     np.testing.assert_array_equal(run.measured, shaken(np.random.default_rng(4)).measured)

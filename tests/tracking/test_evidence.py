@@ -211,13 +211,14 @@ def test_sandwich_covariance_matches_scatter_of_robust_fits(side, blur, end):
     hold_sigma(fits, np.array(stated))
 
 
-def twins(seen, step):
-    """Yield frames of a part that moves by a `step` a frame past an identical one at rest."""
+def twins(seen, step, enters):
+    """Yield frames of a part that moves by a `step` a frame past a twin that enters and rests."""
     rng = default_rng(0)
     part = mixed_texture((40, 40), rng, scales=2.0, std=40.0)
     for k, there in enumerate(seen):
         image = np.full((200, 300), 128.0)
-        image[130:170, 150:190] = part
+        if k >= enters:
+            image[130:170, 150:190] = part
         if there:
             image[60:100, 60 + step * k : 100 + step * k] = part
         yield camera_frame(image, rng)
@@ -225,9 +226,10 @@ def twins(seen, step):
 
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("step", [1, 3])
-def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step):
+@pytest.mark.parametrize("enters", [0, 6])
+def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step, enters):
     seen = [k < 12 or k >= 20 for k in range(26)]
-    film = list(twins(seen, step))
+    film = list(twins(seen, step, enters))
     drive = {"interval": 0.03, "acceleration": 500.0, "noise": 0.1}
     kalman = KalmanFilter((79.5, 79.5), **drive) if filtered else None
     tracker = ESMTracker(film[0], (60, 60, 40, 40), "translation", kalman=kalman)
