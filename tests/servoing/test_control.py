@@ -148,6 +148,7 @@ def test_predictive_controller_accepts_several_points():
         for k, seen in enumerate(np.linspace([0.0, 0.0], [40.0, -10.0], 8)):
             command = one(k, seen, goals)
             assert command.shape == (2,)
+            assert np.abs(command).max() <= 300.0
             np.testing.assert_allclose(
                 three(k, np.tile(seen, 3), np.tile(goals, 3)), command, rtol=1e-9
             )

@@ -73,7 +73,7 @@ def test_moves_stay_within_step_and_travel():
     assert run.log["event"].str.contains("limit").sum() >= 5  # 39 px are 156 µm
     # A Jacobian that is too small moves the stage too far: by 312 µm from one target to the other.
     near = 0.7 * np.array(AWAY)
-    run = steer(scope_of(), [near, -near], travel=170.0, jacobian=0.7 * JACOBIAN)
+    run = steer(scope_of(), [near, -near], travel=[300.0, 170.0], jacobian=0.7 * JACOBIAN)
     assert run.reached.all()
     assert run.log["event"].str.contains("travel").any()
     farthest = run.log[["stage_x_um", "stage_y_um"]].abs().max().max()
