@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from microlib import synthetic
 from microlib.focus import three_point_peak
-from microlib.focus.multiscale import _axis, _fit, _measure, _relief, _settings
+from microlib.focus.multiscale import _axis, _fit, _measure, _reject, _relief, _settings
 from tests.focus.scenes import gaussian_blur, inner, rms
 
 
@@ -138,3 +138,22 @@ def test_find_relief_keeps_what_both_directions_show_and_drops_what_one_shows():
     assert rms(noisy - waves) < 0.85 * rms(0.3 * noise.mean(axis=0))
     flat, _ = _relief.find_relief(*(0.3 * noise), 0 * x + 1, settings)
     assert rms(flat) < 0.01
+
+
+# --- Rules that reject a peak --------------------------------------------------------------------
+
+
+def test_rules_reject_small_pieces_and_isolated_depths_only():
+    """Pieces of 14 px, half a circle of 3 px, and depths where most of such a circle has none."""
+    depth = np.full((60, 72), 5.0, np.float32)
+    small, large, alone = np.s_[10:13, 10:14], np.s_[30:35, 10:15], np.s_[20:24, 50:54]
+    depth[small] = depth[large] = 8.0
+    depth[:, 36:] = np.nan
+    depth[alone] = 5.0
+    zero = np.zeros_like(depth)
+    no, bounds = zero > 0, (zero, zero + 9)
+    peaks = _reject.Peaks(depth, zero + 1, zero, zero, no, no, *bounds, zero)
+    for rule in _reject.RULES:
+        peaks = peaks.without(rule(peaks, _settings.Settings()))
+    depth[small] = depth[alone] = np.nan
+    np.testing.assert_array_equal(peaks.depth, depth)
