@@ -45,6 +45,8 @@ def test_capsule_method_recovers_modulus_and_radius(pressed_capsule):
     assert std < 0.02
     assert found.force == pressed_capsule.force
     assert found.dimple.radius == pytest.approx(pressed_capsule.radius, abs=2.0)
+    # The force's direction is fitted, and is that of the probe.
+    assert 0 < abs(found.dimple.tilt) < 0.01
     # The fitted law's own modulus again, from radius and depth alone.
     assert found.model_moduli["capsule, neo-hooke"] == pytest.approx(modulus, rel=1e-3)
 

@@ -10,9 +10,7 @@ from microlib.embryo import (
     dimple_geometry,
     extract_boundary,
     fit_dimple,
-    fit_gaussians,
     force_from_image,
-    loess,
     modulus_from_image,
 )
 from tests import fuzz
@@ -199,16 +197,6 @@ def test_dimple_covariance_matches_scatter_of_curves(rim):
             [one.dimple_radius - truth.dimple_radius, one.dimple_depth - truth.dimple_depth]
         )
     hold_sigma(errors, np.broadcast_to(truth.covariance, (200, 2, 2)))
-
-
-def test_smoothing_and_fit_do_not_depend_on_order_of_points():
-    x = np.arange(41.0) ** 1.2 + 3.7
-    y = np.random.default_rng(1).normal(50.0, 3.0, x.size)
-    mixed = np.random.default_rng(2).permutation(x.size)
-    smooth = loess(x, y, span=0.4)
-    np.testing.assert_allclose(loess(x[mixed], y[mixed], span=0.4), smooth[mixed], rtol=1e-9)
-    curve, other = fit_gaussians(x, y, terms=1), fit_gaussians(x[mixed], y[mixed], terms=1)
-    np.testing.assert_allclose(other(x), curve(x), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
