@@ -419,6 +419,7 @@ def test_lens_of_several_views_is_that_which_opencv_drew():
     assert found.plane_error.rms < 280 / 46 * 1.3 * NOISE * np.sqrt(2)
     assert found.adequate
     assert len(found.residuals) == sum(map(len, image))
+    assert found.dof == 11 * 8 - 1  # the errors of a mark are the same in all views
 
 
 def test_bic_leaves_out_needless_lens_parameters():
