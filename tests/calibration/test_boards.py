@@ -214,7 +214,7 @@ def test_images_without_a_pattern_are_rejected(shown, detect):
 
 
 def test_message_of_detect_pattern_has_the_reason_for_each_kind():
-    with pytest.raises(ValueError, match="a chessboard, .*; .* a charuco, .*; .* marks"):
+    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a charuco, .*; .* marks"):
         detect_pattern(WITHOUT["noise"])
 
 
