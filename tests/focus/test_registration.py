@@ -133,8 +133,11 @@ def test_registration_recovers_warps_and_gains() -> None:
 def test_registration_removes_flicker_of_each_color() -> None:
     frames, _ = scene("tilt", 1)
     grey = disturbed(frames, 1, flicker=0.15)
-    result = depth_from_focus(np.repeat(grey[..., None], 3, axis=3), POSITIONS, register=True)
+    color = np.rint(grey[..., None] * [1, 0.8, 0.6]).astype(np.uint8)
+    result = depth_from_focus(color, POSITIONS, register=True)
     still = depth_from_focus(disturbed(frames, 1), POSITIONS).all_in_focus
+    means = result.all_in_focus.mean(axis=(0, 1))
+    np.testing.assert_allclose(means / means[0], [1, 0.8, 0.6], atol=0.005)
     fused = result.all_in_focus.mean(axis=2)
     # The middle frame has its own gain; places from other frames must not keep theirs, which
     # differ by up to 30 % of 128 grey levels.
