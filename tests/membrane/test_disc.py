@@ -116,6 +116,16 @@ def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float)
         assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
 
 
-def test_depth_below_that_of_slack_disc_raises() -> None:
+@pytest.mark.parametrize(
+    ("depth", "half_width", "settings"),
+    [
+        (20.0, C, {"rim_inset": 0.1}),
+        # A collocation of NaN, which SciPy counts as a success.
+        (0.101 * A, 0.177 * A, {"rim_inset": 0.05, "pressure": 0.0}),
+    ],
+)
+def test_depth_below_that_of_slack_disc_raises(
+    depth: float, half_width: float, settings: dict[str, float]
+) -> None:
     with pytest.raises(ValueError, match="depth must be"):
-        disc_modulus(F, A, 20.0, thickness=H, probe_half_width=C, rim_inset=0.1)
+        disc_modulus(F, A, depth, thickness=H, probe_half_width=half_width, **settings)
