@@ -107,12 +107,14 @@ def _read(files: Sequence[Path], pattern: str) -> Reading | None:
     parts = [_split(file, pattern) for file in files]
     if len({tuple(each[::2]) for each in parts}) != 1:
         return None
-    columns = [c for c in zip(*(each[1::2] for each in parts), strict=True) if len(set(c)) > 1]
     numbers = []
-    for column in columns:
-        # A hyphen before every number separates it.
-        cut = all(text[0] == "-" for text in column)
-        numbers.append([Decimal(text[cut:].replace(",", ".")) for text in column])
+    columns = zip(*(each[1::2] for each in parts), strict=True)
+    for k, (before, column) in enumerate(zip(parts[0][:-1:2], columns, strict=True)):
+        if len(set(column)) > 1:
+            # A hyphen before every number, after a letter or digit, separates; else it is a sign.
+            joins = before[-1:].isalpha() or (k > 0 and not before)
+            cut = joins and all(text[0] == "-" for text in column)
+            numbers.append([Decimal(text[cut:].replace(",", ".")) for text in column])
     values: list[tuple[Decimal, ...]] = list(zip(*numbers, strict=True))
     return sorted(zip(values, files, strict=True)) if len(set(values)) == len(files) else None
 

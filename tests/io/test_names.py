@@ -82,6 +82,8 @@ def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
             r"c0_z0\.png, c0_z1.* or c0_z0\.png, c1_z0",
         ),
         ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
+        # The minus of depths, or a line between words.
+        (["z_-3", "z_-4", "z_-5"], r"z_-3\.png, z_-4.* or z_-5\.png, z_-4"),
         (["31_3", "44_1", "58_2", "97_0"], r"31_3\.png, 44_1\.png.* or 97_0\.png, 44_1"),
         # Two stacks, or another picture beside a stack.
         (["a1", "a2", "a3", "b1", "b2", "b3"], r"only in numbers, got a1\.png and b1"),
