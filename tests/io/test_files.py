@@ -56,6 +56,10 @@ def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dt
         assert tiff.is_ome
         written = tiff.asarray()
         image = tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]
+        page = tiff.pages[0].aspage()
+    # px per cm: older versions of tifffile keep six digits.
+    assert page.get_resolution() == pytest.approx([1e4 / 0.65] * 2, rel=1e-6)
+    assert page.resolutionunit == tifffile.RESUNIT.CENTIMETER
     assert written.dtype == (dtype if dtype in (np.uint8, np.uint16, np.int32) else np.float32)
     np.testing.assert_array_equal(written, values)
     pixels = image["Pixels"]
