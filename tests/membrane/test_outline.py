@@ -19,11 +19,12 @@ FORCE, RADIUS, INFLATION = 100.0, 600.0, 1.05
 NEAR: dict[str, Any] = {**SHELL, "radius": RADIUS, "start": (1.0, INFLATION)}
 
 
-def outline(noise: float, *, seed: int = 0) -> NDArray:
-    """Both sides of a capsule, down to near the plate, axis at 30 µm and plate at 70 µm."""
-    state = indent_capsule(FORCE, modulus=1.0, radius=RADIUS, inflation=INFLATION, **SHELL)
+def outline(noise: float, *, seed: int = 0, share: float = 0.85, state: Any = None) -> NDArray:
+    """Both sides of a capsule, down from the probe, axis at 30 µm and plate at 70 µm."""
+    if state is None:
+        state = indent_capsule(FORCE, modulus=1.0, radius=RADIUS, inflation=INFLATION, **SHELL)
     along = np.concatenate([[0], np.cumsum(np.hypot(np.diff(state.r), np.diff(state.z)))])
-    places = np.linspace(0, 0.85 * along[-1], 100)
+    places = np.linspace(0, share * along[-1], 100)
     r, z = np.interp(places, along, state.r), np.interp(places, along, state.z)
     both = np.column_stack([np.concatenate([-r[::-1], r]), np.concatenate([z[::-1], z])])
     place = np.array([30.0, 70.0])
@@ -53,6 +54,15 @@ def test_fit_does_not_depend_on_start() -> None:
     wanted = indent_capsule(FORCE, **found, **SHELL)
     for name in ("depth", "approach", "pressure"):
         assert getattr(far.state, name) == pytest.approx(getattr(wanted, name), rel=1e-6)
+
+
+def test_fit_that_ends_early_is_repeated_from_the_crest() -> None:
+    """From this start the first search ends at 1.47 MPa, 0.8 µm from the points."""
+    shell: dict[str, Any] = {"thickness": 3.0, "probe_half_width": 40.0, "law": "hooke"}
+    state = indent_capsule(41.548, modulus=1.0, radius=489.45, inflation=1.037, **shell)
+    points = outline(0.24, state=state, share=0.5)
+    fit = fit_capsule(41.548, points, radius=489.45, start=(2.088, 1.0162), **shell)
+    assert abs(fit.modulus - 1) < 4 * fit.modulus_std
 
 
 def test_modulus_std_matches_errors() -> None:

@@ -99,9 +99,9 @@ def fit_capsule(
         As for `indent_capsule`.
     start : tuple of float, optional
         Initial modulus (MPa) and inflation, such as those of the same egg in the previous image. A
-        good initial value saves most of the time. By default, and where the fit from `start` has
-        a misfit above `thickness` whose neighboring distances have a correlation above 0.85, the
-        initial values come from the crest of the outline.
+        good initial value saves most of the time. By default, and where neighboring distances of
+        the fit from `start` have a correlation above 0.85, the initial values come from the crest
+        of the outline.
     fit_tilt : bool, optional
         Whether a small angle between axis and vertical is fitted, which needs both sides of the
         outline. A tilt of a few mrad that is not fitted doubles `modulus_std`.
@@ -156,14 +156,12 @@ def fit_capsule(
     results = []
     for guess in islice(fit.initial_guesses(given_start), _MAX_FITS):
         results.append(fit.minimize(guess))
-        best, result = min(results, key=lambda each: float(each[1].cost))
-        if given_start is not None and np.sqrt(np.mean(result.fun**2)) < thickness:
-            break
         # Neighboring distances have a correlation of 0.3 to 0.5 at the minimum of an outline from
         # an image, and of 0.97 where a fit ended early.
         residual = results[-1][1].fun
         if residual[1:] @ residual[:-1] <= 0.85 * (residual @ residual):
             break
+    best = min(results, key=lambda each: float(each[1].cost))[0]
     # Once more, with the points that lie beside the fitted probe.
     best, result = fit.minimize(best, fit_tilt)
     modulus = float(np.exp(best.log_modulus))
