@@ -71,10 +71,10 @@ BAD = ("black", "white", "frozen", "brighter", "with a reflection", "darker", "b
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_one_bad_frame_changes_only_heights_at_that_frame(kind: str) -> None:
+def test_one_bad_frame_is_left_out_and_other_heights_stay_right(kind: str) -> None:
     """Five stacks each; at 0.4.0 up to all of the bare ground had a certain depth."""
     rng = np.random.default_rng(BAD.index(kind))
-    bare: dict[str, list] = {measure: [] for measure in NAMES}
+    shares: dict[str, list] = {measure: [] for measure in NAMES}
     for case in range(5):
         z = 8.0 * np.arange(rng.choice([7, 9, 13, 21]))
         texture = synthetic.mixed_texture((112, 144), rng)
@@ -84,10 +84,10 @@ def test_one_bad_frame_changes_only_heights_at_that_frame(kind: str) -> None:
             depth, z, texture=texture, rate=0.1, noise=10 ** rng.uniform(-0.3, 0.7), seed=case
         )
         best = int(np.argmin(np.abs(z - depth[0, 0])))
-        first = 1 if kind == "frozen" else 0  # which has none before it
+        first = 1 if kind == "frozen" else 0  # frame 0 cannot repeat a frame before it
         place = [first, len(z) - 1, int(rng.integers(1, len(z) - 1)), best, 1][case]
         stack[place] = bad_frame(kind, stack, place, rng)
-        for measure, certain in bare.items():
+        for measure, certain in shares.items():
             with pytest.warns(UserWarning, match=f"frames {place} are .*: left out"):
                 found = depth_from_focus(stack, z, measure=measure)
             certain.append(np.mean(found.uncertainty[:, 88:] < 0.2 * z[-1]))
@@ -96,12 +96,12 @@ def test_one_bad_frame_changes_only_heights_at_that_frame(kind: str) -> None:
                 part[8:-8, 8:48] for part in (np.abs(found.depth - depth), found.uncertainty)
             )
             assert np.isfinite(error).mean() > 0.98
-            # A tenth of the distance of the frames is peak locking.
+            # 0.8 µm, a tenth of the frame spacing, allows for peak locking.
             assert np.mean(error < 3 * stated + 0.8) > 0.95
-    assert all(np.mean(certain) <= 0.02 for certain in bare.values())
+    assert all(np.mean(certain) <= 0.02 for certain in shares.values())
 
 
-def test_frames_of_a_stack_that_changes_smoothly_or_at_random_are_not_left_out() -> None:
+def test_frames_of_a_stack_whose_brightness_changes_are_not_left_out() -> None:
     z, rng = np.arange(9.0), np.random.default_rng(4)
     stack = stack_of(np.full((96, 112), 4.2), z, noise=1.0, seed=4)
     lamps = [0.9**z, 0.5 + 0.05 * z, 0.8 - 0.03 * (z - 4) ** 2, rng.uniform(0.6, 1.0, 9)]
@@ -145,7 +145,7 @@ def test_wrong_depth_of_a_thin_bar_is_uncertain(width: int) -> None:
     """
     rng, z, wrong = np.random.default_rng(width), 5.0 * np.arange(21), []
     y, x = np.mgrid[-71.5:72, -65.5:66]
-    for above in 5 * (25.0, 60.0):
+    for above in (25.0, 60.0) * 5:  # ten draws
         turn, near = rng.uniform(0, np.pi), rng.uniform(18, 22)
         distance = np.abs(x * np.cos(turn) + y * np.sin(turn))
         cover = np.clip(width / 2 + 0.5 - distance, 0, 1)
@@ -195,7 +195,7 @@ def test_object_on_dark_ground_has_no_margin() -> None:
 def test_warning_of_drift_or_flicker_names_the_option_that_corrects_it(measure):
     z, rng = np.arange(11.0), np.random.default_rng(1)
     still = stack_of(np.full((128, 160), 5.3), z, noise=0.0)
-    depth_from_focus(still, z, measure=measure)  # warns of nothing
+    depth_from_focus(still, z, measure=measure)  # a warning here would be an error (pyproject)
     moved = np.array([np.roll(frame, k, axis=1) for k, frame in enumerate(still)])
     gains = 1 + 0.1 * rng.uniform(-1, 1, (11, 1, 1))
     for stack, word in ((moved, "position"), ((0.8 * gains * still).astype(np.uint8), "light")):
