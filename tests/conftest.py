@@ -1,7 +1,5 @@
 """Where the tests find what `make html` built; property tests draw the same examples each time."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

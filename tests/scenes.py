@@ -1,7 +1,5 @@
 """Scenes for tests and benchmarks: planes, and frames of textures that move by known amounts."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

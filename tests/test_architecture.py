@@ -1,7 +1,5 @@
 """Who may import whom, what is public, and that what is public is documented in one place."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

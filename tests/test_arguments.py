@@ -5,8 +5,6 @@ value is put in the place of one argument of the valid call of `tests/fuzz.py`. 
 beyond the name is tested where it is made, in tests/_common/test_checks.py.
 """
 
-from __future__ import annotations
-
 import inspect
 import os
 import random

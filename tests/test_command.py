@@ -1,7 +1,5 @@
 """The four commands on small inputs with known truth, and their errors."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -4,8 +4,6 @@ Another processor rounds otherwise, by about as much. Every callable of the libr
 valid call of `tests/fuzz.py`, and again with each number moved to a neighboring one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the documentation shows runs as it stands, pasted into a new interpreter."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import re

@@ -1,7 +1,5 @@
 """Each law fails for a function with the fault that it is for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

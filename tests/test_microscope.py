@@ -1,7 +1,5 @@
 """The microscope model against its equations, OpenCV, SciPy, and its own inverse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `pip install .` installs, and on which versions of what."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pictures of results, read back from their axes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import matplotlib as mpl

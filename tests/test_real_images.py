@@ -1,7 +1,5 @@
 """Images that others took; what is measured in them stands in notebooks/08_real_images.ipynb."""
 
-from __future__ import annotations
-
 import hashlib
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Argument checks: valid values are returned; an error names argument, requirement and value."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The covariance of least squares: against NumPy's inverse, Monte Carlo, and by hand where it is
 open."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Results as flat rows that JSON can hold, and as pickles."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import pickle

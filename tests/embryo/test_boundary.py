@@ -1,7 +1,5 @@
 """The outline in an image against the outline that was drawn, and every image that shows none."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 

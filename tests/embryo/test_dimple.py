@@ -1,7 +1,5 @@
 """The membrane's profile fitted to outlines with known truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Gaussian sum and its fit, against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

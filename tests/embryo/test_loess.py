@@ -1,7 +1,5 @@
 """Local regression against statsmodels and against a direct fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from statsmodels.nonparametric.smoothers_lowess import lowess

@@ -1,7 +1,5 @@
 """From image to modulus on rendered embryos; `benchmarks/capsule_embryo.py` on more."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Outlines from tables: how people write them, the part with the dimple, and its error."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The laws of every public name of the embryos."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

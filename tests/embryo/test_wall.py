@@ -1,7 +1,5 @@
 """The wall of a profile against scipy's curve_fit, and the profiles that show none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit

@@ -1,7 +1,5 @@
 """The focal stack that most tests of reading write into files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Writers of every kind of file, and a reader of meshes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

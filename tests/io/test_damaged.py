@@ -1,7 +1,5 @@
 """Sources that cannot be read as frames are rejected by file, page and fault; none in silence."""
 
-from __future__ import annotations
-
 import importlib.util
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Files that the library writes, as other programs read them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

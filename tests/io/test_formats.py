@@ -1,7 +1,5 @@
 """Every kind of source gives the frames that were written into it, and the axes that it has."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Frames in xarray.DataArray: order of dimensions, coordinates as scale, and their return."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pixel sizes and positions in metadata, in each unit; None where a value is unusable."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable

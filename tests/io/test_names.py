@@ -1,7 +1,5 @@
 """Frames are ordered by the numbers in their names; an ambiguous order is rejected."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

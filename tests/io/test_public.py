@@ -1,7 +1,5 @@
 """The laws of every public name of reading and writing, and that pixels keep their place."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from pathlib import Path

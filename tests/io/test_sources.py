@@ -1,7 +1,5 @@
 """A reader can be read again, in parts and by another reader; films and folders with surprises."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The elastic energy of a state, integrated from its stretches by formulas of the tests' own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The closed capsule, against spheres, plates, its own energy and a minimum of that energy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The clamped disc, against a closed form, another program's ratios, and its own energy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

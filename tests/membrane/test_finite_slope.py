@@ -1,7 +1,5 @@
 """The model without small slopes, against adaptive quadrature and its small-slope limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

@@ -1,7 +1,5 @@
 """The constitutive laws against the derivatives of their energies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

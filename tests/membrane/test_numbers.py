@@ -1,7 +1,5 @@
 """Of numbers the formulas return a number, of arrays an array."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

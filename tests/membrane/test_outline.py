@@ -1,7 +1,5 @@
 """Modulus from an outline: the truth comes back, with its scatter, from any part that shows it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The point-load model against quadrature, 60-digit arithmetic and drawn errors."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The laws of every public name of the membranes."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The relaxing force against its differential equation, solved by Runge–Kutta."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Whatever fails, the run ends with the stage standing within its travel, and says why."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """The adapter for Micro-Manager against a core that keeps account of its calls."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The laws of every public name of servoing."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

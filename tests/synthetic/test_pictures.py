@@ -1,7 +1,5 @@
 """The ends of what the renderers take."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from skimage.draw import polygon

@@ -1,7 +1,5 @@
 """The laws of every public name of synthetic: scenes obey the units and turns that they draw."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

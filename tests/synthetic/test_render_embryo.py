@@ -1,7 +1,5 @@
 """The rendered embryo: does its outline obey the model, and is it drawn where it should be?"""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import ndtr
