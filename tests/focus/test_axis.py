@@ -33,12 +33,24 @@ def test_surface_in_focus_in_the_first_or_last_frame_has_depth(end, count):
     assert found.at_end.mean() > 0.9
 
 
-def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth():
+@pytest.mark.parametrize("kind", ["grey", "in color", "in blocks"])
+def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth(kind):
+    """A black frame is left out, and counted."""
     positions = np.linspace(0, 14, 57)
     stack = stack_of(HEIGHT, positions, noise=3.0)
+    stack[25] = 0
+    if kind == "in color":
+        stack = np.rint(stack[..., None] * [1, 0.8, 0.6]).astype(np.uint8)
     for order in (1, -1):
-        found = depth_from_focus(stack[::order], positions[::order])
-        away = np.abs(positions[::order][found.index] - found.depth)
-        assert away.max() <= 0.125 + 1e-5  # half the spacing
-        chosen = np.take_along_axis(stack[::order], found.index[None], axis=0)[0]
+        frames, z = stack[::order], positions[::order]
+        given = frames
+        if kind == "in blocks":
+            given = pytest.importorskip("dask.array").from_array(frames)
+        with pytest.warns(UserWarning, match="left out"):
+            found = depth_from_focus(given, z)
+        depth, index = np.asarray(found.depth), np.asarray(found.index)
+        least = np.abs(np.delete(positions, 25)[:, None, None] - depth).min(axis=0)
+        np.testing.assert_allclose(np.abs(z[index] - depth), least, atol=1e-5)  # of float32
+        chosen = frames[(index, *np.indices(SHAPE))]
         np.testing.assert_array_equal(found.all_in_focus, chosen)
+        assert found.all_in_focus.dtype == frames.dtype

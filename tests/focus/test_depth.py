@@ -64,11 +64,6 @@ def test_default_measure_recovers_a_dome(dome):
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
     assert result != plain  # by identity
     assert rms(inner(result.depth - height)) < 0.6 * rms(inner(plain.depth - height))
-    # The noise of 2 grey levels is in the frames and in the image from all of them.
-    texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
-    assert result.all_in_focus.dtype == stack.dtype
-    blurred = np.abs(stack - texture).mean(axis=(1, 2)).min()
-    assert np.abs(result.all_in_focus - texture).mean() < 0.7 * blurred
 
 
 def test_depth_step_is_located_to_two_pixels():
@@ -140,8 +135,9 @@ def test_order_of_frames_does_not_matter(dome):
     for measure, share in (("multiscale", 0.02), ("sml", 1e-5)):
         up = depth_from_focus(stack, POSITIONS, measure=measure)
         down = depth_from_focus(stack[::-1], POSITIONS[::-1], measure=measure)
-        difference = np.abs(up.depth - down.depth) / STEP
-        assert np.mean(difference < share) > 0.99  # equal maxima go to the first, another one
+        for name in ("depth", "uncertainty"):
+            difference = np.abs(getattr(up, name) - getattr(down, name)) / STEP
+            assert np.mean(difference < share) > 0.99  # equal maxima go to the first, another one
 
 
 def test_depth_is_accurate_at_uneven_positions(dome):

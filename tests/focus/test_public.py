@@ -152,7 +152,7 @@ def test_frames_can_be_used_again_after_interruption():
         assert max(calls[:-1]) < last
 
     hold_same_as_new(
-        lambda: list(STACK.astype(np.uint8)),
+        lambda: STACK.astype(np.uint8),
         use,
         partial(interrupted, last=3),
         partial(interrupted, last=len(Z) + 1),
