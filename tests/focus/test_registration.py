@@ -136,6 +136,7 @@ def test_registration_removes_flicker_of_each_color() -> None:
     color = np.rint(grey[..., None] * [1, 0.8, 0.6]).astype(np.uint8)
     result = depth_from_focus(color, POSITIONS, register=True)
     exact = depth_from_focus(np.float32(color), POSITIONS, register=True).all_in_focus
+    assert result.all_in_focus.dtype == np.uint8
     assert abs(np.mean(result.all_in_focus - exact)) < 0.05  # else it is not rounded
     still = depth_from_focus(disturbed(frames, 1), POSITIONS).all_in_focus
     means = result.all_in_focus.mean(axis=(0, 1))
