@@ -40,7 +40,7 @@ def track_of(first, second, rng, box, motion="translation"):
         ("translation", (70, 65, 50, 50), 1 / 3, 0.05),
         ("homography", (70, 65, 50, 50), 1 / 3, 0.5),
         ("translation", (60, 60, 30, 90), 1 / 4, 0.05),
-        ("translation", (50, 60, 150, 40), 1 / 4, 0.1),  # searched at a quarter of the resolution
+        ("translation", (50, 60, 150, 40), 1 / 3, 0.05),  # searched at half of the resolution
     ],
 )
 def test_partly_occluded_template_is_found_with_its_occlusion_mask(motion, box, share, limit):

@@ -81,7 +81,8 @@ class RobustSearch:
         self.template, self.settings, self.noise = template, Settings(), view.noise
         width, height = box[2:]
         settings, self.side, self.shape = self.settings, max(width, height), (height, width)
-        self._finest = max(0, int(np.ceil(np.log2(self.side / settings.max_side))))
+        size = np.sqrt(width * height)  # an oblong box keeps more than a few rows
+        self._finest = max(0, int(np.ceil(np.log2(size / settings.max_side))))
         self._scale = 2.0**self._finest
         cut = partial(make_level, box=box, pose=pose, motion=motion)
         fine = view.layer(self._finest)

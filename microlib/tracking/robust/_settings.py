@@ -34,7 +34,8 @@ class Settings:
     lookalike_ncc : float
         Normalized correlation from which on another place of a frame may be a lookalike.
     max_side : int
-        Largest side (px) of the template at the finest level of the search, which limits its cost.
+        Largest side (px), at the finest level of the search, of a square of the template's area. It
+        limits the cost.
     distortion_step : float
         Step of the distorted starts along each generator. Without these starts 75 % instead of 92 %
         of the homographies of 15 px are found.
