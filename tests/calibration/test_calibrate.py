@@ -28,12 +28,12 @@ CAMERA = {"pixel_size": 8.0, "image_size": (640, 480)}
 
 
 def tilted(beta, gamma):
-    """The microscope of all scenes with other angles, in degrees."""
+    """`SCOPE` with other angles of its tilt, in degrees."""
     return replace(SCOPE, beta=np.deg2rad(beta), gamma=np.deg2rad(gamma))
 
 
 def tilted_views():
-    """Three views of a plane, its points in µm, and where they are seen exactly, px."""
+    """Three microscopes, the points of a plane that each sees, µm, and their exact images, px."""
     scopes = [tilted(*angles) for angles in ((12, 3), (-5, 10), (4, -14))]
     worlds = [grid_in_view(scope) for scope in scopes]
     return scopes, worlds, [s.project(w) for s, w in zip(scopes, worlds, strict=True)]
@@ -47,8 +47,8 @@ def lens_views(
     count, *, principal=900.0, spacing=46.0, tilt=0.4, aside=(0.0, 0.0), k1=-0.2, k2=0.0,
     seed=0, shift=0.0, bend=0.0,
 ):  # fmt: skip
-    """Views through one lens as OpenCV projects them: principal distance and spacing of marks in
-    px, errors of the printed marks and bending of the pattern in µm."""
+    """Views through one lens, projected by OpenCV. The principal distance and the spacing of marks
+    are in px; `shift`, the rms error of printed marks, and the bend of the pattern are in µm."""
     rng = np.random.default_rng(seed)
     world = 280.0 * (np.argwhere(np.ones((11, 8))) - [5, 3.5])
     made = world + rng.normal(0, 1, world.shape) * shift
@@ -72,7 +72,7 @@ def lens_views(
 
 @pytest.mark.parametrize(
     ("distortion", "precision"),
-    # With both distortion and perspective their product is left out: 1.3 % of h at the corner.
+    # The linear equations omit the product of distortion and perspective: 1.3 % of h in a corner.
     [(0.0, 1e-9), (-8.4e-10, 0.013)],
 )
 def test_linear_intrinsics_are_exact_without_distortion(distortion, precision):
@@ -105,7 +105,7 @@ def test_exact_data_give_exact_pose_and_lens(
     world = grid_in_view(scope, pitch=500 / magnification)
     image = scope.project(world)
     start = radial_alignment(world, (image - scope.principal_point) * scope.cell)
-    # The tilt's sign is open there: of both poses the pattern's directions are the same.
+    # It uses only the directions of the points, which are the same for either sign of the tilt.
     sign = [1, np.sign(start[1]), np.sign(start[1])]
     np.testing.assert_allclose(np.exp(1j * start[:3] * sign), np.exp(1j * turns), atol=1e-6)
     np.testing.assert_allclose(start[3:], shift, atol=1e-3)
@@ -120,9 +120,9 @@ def test_exact_data_give_exact_pose_and_lens(
 
 @pytest.mark.parametrize("focal_length", [None, F])
 @pytest.mark.parametrize("count", [1, 3])
-def test_exact_views_give_one_lens_without_further_terms(count, focal_length):
+def test_exact_views_give_their_lens_and_no_further_parameters(count, focal_length):
     scopes, world, exact = (each[:count] for each in tilted_views())
-    for factor in (1, 1 + 1e-15):  # as another order of the same arithmetic would have them
+    for factor in (1, 1 + 1e-15):  # exact points, and with other rounding errors
         image = [factor * points for points in exact]
         found = calibrate(world, image, focal_length=focal_length, **SENSOR)
         assert len(found.parameters) == 1 + (focal_length is None) + 6 * count
@@ -140,14 +140,14 @@ def test_residuals_are_image_points_minus_model_in_image_and_plane():
     seen = noisy(IMAGE, 0)
     found = calibrate(WORLD, seen, **SENSOR)
     np.testing.assert_allclose(found.residuals, seen - found.microscope.project(WORLD), atol=1e-9)
-    behind = found.microscope.back_project(seen) - WORLD
-    np.testing.assert_allclose(found.plane_residuals, behind, atol=1e-6)
+    in_plane = found.microscope.back_project(seen) - WORLD
+    np.testing.assert_allclose(found.plane_residuals, in_plane, atol=1e-6)
 
 
 @pytest.mark.parametrize("tilt", [2, 20])
 def test_sigma_equals_cramer_rao_bound_and_intervals_cover(tilt):
-    """f given. 60 runs of 7 parameters: 95 % ± 1.1 % if independent; correlated, allow 91 to 99
-    %."""
+    """The focal length is given. The share of 420 intervals is 95 % ± 1.1 % if they are
+    independent; those of a run are correlated, so 91 to 99 % are accepted."""
     scope = tilted(tilt, 0.6 * tilt)
     world = grid_in_view(scope)
     names = ("magnification", "distortion", *POSE)
@@ -162,13 +162,13 @@ def test_sigma_equals_cramer_rao_bound_and_intervals_cover(tilt):
         spans = [found.interval(name) for name in names]
         inside.append([low <= t <= high for (low, high), t in zip(spans, truth, strict=True)])
     np.testing.assert_allclose(np.median(stated, axis=0), bound, rtol=0.25)
-    # Scatter over 60 runs: ±9 %; three of them.
+    # A standard deviation from 60 runs is good to 9 %; three times that.
     np.testing.assert_allclose(np.std(errors, axis=0), bound, rtol=0.3)
     assert 0.91 <= np.mean(inside) <= 0.99
 
 
 def test_interval_of_focal_length_is_that_of_its_reciprocal():
-    """1/f ± t σ(1/f), turned over; the others straight; both widen with the level."""
+    """Its ends are the reciprocals of 1/f ± t σ(1/f); other intervals are estimate ± t σ."""
     scope = tilted(10, 170)
     world = grid_in_view(scope)
     found = calibrate(world, noisy(scope.project(world), 0), **SENSOR)
@@ -184,7 +184,7 @@ def test_interval_of_focal_length_is_that_of_its_reciprocal():
 
 
 def test_determined_focal_length_may_exceed_a_kilometer():
-    """Of a pattern in another unit than µm: it was put at one, with an interval around it."""
+    """The pattern is in a smaller unit than µm; an earlier version returned one kilometer."""
     scope = tilted(15, 10)
     world = grid_in_view(scope)
     big = SENSOR | {"pixel_size": (9.9e5, 8.3e5)}
@@ -213,7 +213,7 @@ def test_covariance_follows_from_numerical_derivatives_of_the_projection(focal_l
         return np.array(images)
 
     shown = ((projected(truth) > 0) & (projected(truth) < [655, 490])).all(axis=(0, 2))
-    # With 17 marks or more the covariance is that of leaving out each mark.
+    # With more marks than parameters, 16 or 17, the covariance is that of leaving out each mark.
     world = world[np.random.default_rng(1).permutation(np.flatnonzero(shown))[:12]]
     image = noisy(projected(truth), 1)
     found = calibrate([world] * 2, list(image), focal_length=focal_length, **SENSOR)
@@ -232,7 +232,7 @@ def test_covariance_follows_from_numerical_derivatives_of_the_projection(focal_l
 
 
 def test_covariance_of_squares_equals_leaving_out_one_square():
-    """In closed form, against leaving out one square after the other and calibrating again."""
+    """The closed form is compared with twelve calibrations that each leave out one square."""
     scope = replace(tilted(20, 15), tx=0, ty=0)
     grid = 4 * np.argwhere(np.ones((3, 4)))[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]
     grid = grid.reshape(-1, 2)
@@ -253,7 +253,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
     changes = np.array([left_out(g).estimate for g in range(12)]) - found.estimate
     expected = 11 / 12 * changes.T @ changes
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    # The closed form is that of a linear problem.
+    # The closed form is exact for linear models only.
     np.testing.assert_allclose(found.covariance / scale, expected / scale, atol=0.03)
 
 
@@ -263,7 +263,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
 @pytest.mark.parametrize("noise", [0.0, NOISE])
 @pytest.mark.parametrize("views", [1, 3])
 def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise):
-    """Of exact points, the last bit of which is random; with f given, the tilt is known."""
+    """The last bit of exact points is random. With f given, exact points determine the tilt."""
     for seed in range(3):
         rng = np.random.default_rng(seed)
         f = 2e5 / rng.uniform(0.8, 5)
@@ -309,7 +309,7 @@ LINE = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
 
 
 def detection(scope):
-    """What is detected of a grid of 280 µm."""
+    """The detection of a grid of 280 µm, without errors."""
     world = grid_in_view(scope)
     grid = np.round((world - world.min(axis=0)) / 280).astype(int)
     ones = np.ones(len(grid))
@@ -351,7 +351,7 @@ NO_SIZE = {"pixel_size": 9.9}
         ({"world": [WORLD] * 2, "image": [IMAGE], **SENSOR}, "image must hold .* the 2 views"),
         ({"world": [WORLD] * 2, "image": np.array(np.nan), **SENSOR},
             "image must hold one array for each of the 2 views"),
-        # In mm instead of µm: residuals were as large as the image, and found adequate.
+        # In mm instead of µm. An earlier version called residuals as large as the image adequate.
         ({"world": WORLD, "image": IMAGE, "focal_length": 126, **SENSOR},
             "focal_length must fit each view .* got 126 µm"),
         ({"world": [WORLD] * 2, "image": [IMAGE] * 2, "focal_length": 1.5, **SENSOR},
@@ -386,17 +386,17 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
         adequate[name] = np.mean([c.adequate for c in found])
         sigma[name] = np.median([c.sigma["focal_length"] for c in found])
     assert adequate["lacking"] <= 0.1
-    assert adequate["exact"] >= 0.9  # one in a thousand is not, by chance
+    assert adequate["exact"] >= 0.9  # by chance, one in a thousand is not
     assert sigma["lacking"] > 2 * sigma["exact"]
 
 
 @pytest.mark.parametrize("distortion", [0.05, 0.1])
 def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large(distortion):
-    """The linear κ was outside the domain of the model, and half of the views were rejected."""
+    """An earlier version rejected half of them, as the linear κ was outside the model's domain."""
     wide = {"principal": 210.0, "spacing": 36.0, "tilt": 0.7, "k1": distortion}
     for seed in range(20):
         found = calibrate(*lens_views(1, **wide, seed=seed), **CAMERA)
-        # Brown's polynomial is not the inverse of (2.10).
+        # OpenCV draws with Brown's polynomial, which is not the inverse of (2.10).
         assert found.reprojection.rms < 1.5
         assert not found.adequate
 
@@ -404,12 +404,12 @@ def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large(disto
 # Several views
 
 
-def test_lens_of_several_views_is_that_which_opencv_drew():
+def test_views_drawn_by_opencv_give_its_lens():
     world, image = lens_views(4, aside=(14, -9), k2=0.15)
     found = calibrate(world, image, **CAMERA)
     assert {"principal_x", "principal_y", "distortion_k2"} <= set(found.parameters)
     estimate = dict(zip(found.parameters, found.estimate, strict=True))
-    # Two models of one lens with two terms each, which part in the third: a tenth of a pixel.
+    # Both models of the lens have two terms; from the third on they differ, by a tenth of a pixel.
     principal = [(v.tube_length + v.focal_length) / 8 for v in found.views]
     assert np.ptp(principal) < 1e-9
     assert principal[0] == pytest.approx(900, abs=0.5)
@@ -434,7 +434,7 @@ def test_bic_leaves_out_needless_lens_parameters():
 
 
 def test_held_out_error_is_that_of_the_true_lens():
-    """Of views through one lens that of the noise; of a wide lens, what the model lacks."""
+    """If the model fits, it is that of the true lens; if the lens is wide, it exceeds the noise."""
     world, image = lens_views(5, aside=(14, -9))
     found = calibrate(world, image, **CAMERA)
     lens = np.array([[900, 0, 333.5], [0, 900, 230.5], [0, 0, 1]]), np.array([-0.2, 0, 0, 0, 0])
@@ -470,11 +470,11 @@ def test_inconsistent_view_has_the_largest_held_out_error():
 @pytest.mark.parametrize(
     ("made", "draws", "fewest"),
     [
-        # Marks are beside their places in every view: 0.13 px, for 0.02 px of noise. Of ten
-        # intervals of 95 %, seven or more cover in 999 of a thousand cases.
+        # Printed marks are displaced by 0.13 px, the same in all views; the noise is 0.02 px. At
+        # least seven of ten 95 % intervals cover with a probability of 99.9 %.
         ({"count": 4, "shift": 0.8, "aside": (6, 4)}, 10, 7),
-        # A plate bent by 20 µm: the interval is as wide as the bend may have moved f. With what
-        # the noise alone makes of it, none covers.
+        # A plate bent by 20 µm. The interval allows for the change of f by the bend; intervals
+        # from the noise alone would not cover once.
         ({"count": 3, "bend": 20.0, "aside": (14, -9)}, 6, 3),
     ],
     ids=["imprecise", "bent"],

@@ -1,5 +1,4 @@
-"""Rendering and detection of calibration targets: against analytic images, exact projections and
-OpenCV."""
+"""Rendering and detection of calibration targets, against exact integrals and projections."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = map(thesis.microscope, thesis.COLUM
 
 
 def box_edge(x, edge, blur):
-    """Part of pixel `x` to the right of a blurred straight edge: the box integral of the normal
-    distribution."""
+    """Share of pixel `x` to the right of a straight edge with Gaussian blur: its mean over the
+    pixel."""
 
     def integral(t):
         return t * ndtr(t) + np.exp(-t * t / 2) / np.sqrt(2 * np.pi)
@@ -35,11 +34,11 @@ def box_edge(x, edge, blur):
 
 
 def errors(scope, found, pitch):
-    """Image points minus true ones, px; the grid may differ from the truth by its origin and by
-    which axis is the first."""
+    """Image points minus true ones, px. The detected grid may have another origin, and its axes
+    may be exchanged or reversed."""
     grid = np.round(scope.back_project(found.points) / pitch)
-    counted = np.column_stack([found.grid, np.ones(len(grid))])
-    change, residual, *_ = np.linalg.lstsq(counted, grid)
+    indices = np.column_stack([found.grid, np.ones(len(grid))])
+    change, residual, *_ = np.linalg.lstsq(indices, grid)
     assert residual.max() < 1e-9
     np.testing.assert_allclose(np.sort(np.abs(change[:2])), [[0, 1], [0, 1]], atol=1e-9)
     return found.points - scope.project(grid * pitch)
@@ -56,8 +55,8 @@ def test_rendered_edge_equals_its_exact_integral():
     row = int(SMALL.project([[0.0, 49.5]])[0, 1])
     x = np.arange(300)
     covered = box_edge(x, left, 1.3) - box_edge(x, right, 1.3)
-    # The point-spread function is a Gaussian sampled every third of a pixel and cut off at 4.2
-    # standard deviations: 2e-4 of the contrast of 150 grey levels.
+    # The renderer samples the Gaussian every third of a pixel and cuts it off at 4.2 standard
+    # deviations, which changes grey levels by 2e-4 of the contrast of 150.
     np.testing.assert_allclose(image[row], 200 - 150 * covered, atol=0.03)
 
 
@@ -68,8 +67,8 @@ def test_rendered_area_of_a_circle_is_exact(turn, x, y):
     scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, image_size=(80, 80))
     sharp = ImagingConditions(blur=0.0)
     image = render_circles(scope, radius=80, counts=(1, 1), imaging=sharp)
-    # Straight edges in cells of a third of a pixel: relative error (1/3)²/(24 r²), r = 16 px;
-    # float32 sums.
+    # Edges are straight within cells of a third of a pixel, a relative error of (1/3)²/(24 r²) with
+    # r = 16 px; the rest is rounding to float32.
     area = ((200 - image) / 150).sum() * (9.9 / 2) ** 2
     assert area == pytest.approx(np.pi * 80**2, rel=4e-5)
 
@@ -78,7 +77,7 @@ def test_rendered_noise_has_the_given_sigma():
     clean, noisy = (
         render_squares(SMALL, imaging=ImagingConditions(noise=sigma), rng=1) for sigma in (0.0, 3.0)
     )
-    # Standard error of a standard deviation from 72000 pixels: 0.26 %; four of them.
+    # A standard deviation from 72000 pixels has a standard error of 0.26 %; four times that.
     assert (noisy - clean).std() == pytest.approx(3.0, rel=0.011)
 
 
@@ -93,7 +92,7 @@ def test_noise_without_generator_and_overlapping_circles_are_rejected():
 
 
 def whole_marks(scope, kind, size, pitch, margin):
-    """True points, px, of the marks that lie so far inside the image."""
+    """True points, px, of the marks that lie at least `margin` px inside the image."""
     places = pitch * (np.argwhere(np.ones((81, 81))) - 40.0)[:, None]
     rim = outline(kind, size) + (size / 2 if kind == "square" else 0)
     seen = scope.project((places + rim).reshape(-1, 2)).reshape(-1, len(rim), 2)
@@ -121,13 +120,14 @@ def test_all_complete_marks_of_thesis_views_are_detected(kind, scope, size, pitc
         found, corners = detect_squares(render_squares(scope, side=size, **noisy)), 4
     assert np.abs(errors(scope, found, pitch if kind == "circle" else size)).max() < 0.05
     assert (np.unique(found.group, return_counts=True)[1] == corners).all()
+    # A mark that ends within 0.3 px of the border may be detected or not.
     inner, outer = (whole_marks(scope, kind, size, pitch, margin) for margin in (0.3, -0.3))
     assert cKDTree(found.points).query(inner)[0].max() < 0.1
     assert cKDTree(outer).query(found.points)[0].max() < 0.1
 
 
 def test_bias_of_circles_under_perspective_is_removed():
-    """The centers of the ellipses lie up to 0.1 px beside the images of the circles' centers."""
+    """The centers of the ellipses are up to 0.1 px from the images of the circles' centers."""
     scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
     found = detect_circles(render_circles(scope, radius=60, pitch=200, counts=(8, 6)))
     # Model error only (no noise): 3 % of the bias.
@@ -137,10 +137,10 @@ def test_bias_of_circles_under_perspective_is_removed():
 @pytest.mark.parametrize(
     ("scope", "side", "most"),
     [
-        # A Gaussian edge stands for a box and a Gaussian; corners of bent sides.
+        # The model of an edge is a Gaussian without the integration over pixels; sides are bent.
         (SQUARE_1X, 200.0, 0.002),
-        # Lines through the bent sides cross up to 0.08 px beside the corners, at ten times the
-        # thesis' distortion. The correction takes the sides as evenly weighted and leaves a fifth.
+        # At ten times the thesis' distortion, lines through the bent sides cross up to 0.08 px from
+        # the corners. The correction assumes equal weights along a side and leaves a fifth of it.
         (
             Microscope(2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, image_size=(420, 340)),
             300.0,
@@ -161,14 +161,14 @@ def test_dirt_is_not_detected_as_a_circle():
     clean = detect_circles(image)
     first = clean.points[len(clean.points) // 2]
     cv2.circle(image, (300, 245), 9, 60.0, -1)  # between the circles
-    cv2.rectangle(image, np.int_(first + 2), np.int_(first + 15), 50.0, -1)  # on one
+    cv2.rectangle(image, np.int_(first + 2), np.int_(first + 15), 50.0, -1)  # on a circle
     found = detect_circles(image)
     assert np.abs(errors(CIRCLE_1X, found, 280.0)).max() < 0.05
     assert len(found.points) >= len(clean.points) - 3
     assert np.hypot(*(found.points - first).T).min() > 10
 
 
-def test_table_of_detection_has_its_columns_in_order():
+def test_columns_of_a_detection_table_equal_its_arrays():
     found = detect_circles(render_circles(SMALL, counts=(6, 4)))
     table = found.to_frame()
     for pair in ("grid", "positions", "points"):

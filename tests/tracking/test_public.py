@@ -26,7 +26,7 @@ from tests.laws import (
 )
 
 BOX = (38, 26, 52, 41)
-#: Of 28 grey levels, so that the scale in which the tracker computes changes with the unit.
+#: Its standard deviation of 28 grey levels makes the tracker's scale change with the unit.
 SCENE = mixed_texture((110, 140), np.random.default_rng(4), scales=(2.0, 5.0), mean=0.0, std=28.0)
 BY, GAIN = np.array([2.6, -1.8]), 0.8
 MOVED = GAIN * ndimage.shift(SCENE, BY[::-1], order=5, mode="mirror") + 30
@@ -34,7 +34,7 @@ NOISE = np.random.default_rng(5).normal(0, 0.3, (2, 110, 140))
 
 
 def frames(u) -> list:
-    """Return a picture and the same moved, in other light, in grey levels from another black."""
+    """Return a frame, and one of the moved scene with another gain and bias."""
     return [u.grey * (SCENE + NOISE[0]), u.grey * (MOVED + NOISE[1])]
 
 
@@ -63,7 +63,7 @@ def steps(self, position=None) -> tuple:
     return expected, self.position, self.velocity, self.covariance
 
 
-#: What a tracker says of a frame.
+#: The result for a frame.
 FOUND = {
     "corners": np.zeros((4, 2)), "lost": False, "reason": "", "correlation": 1.0,
     "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
@@ -82,8 +82,8 @@ COLUMNS = dict.fromkeys(Track(**FOUND).to_dict(), NUMBER) | {
 TRACK["to_dict"] = COLUMNS
 WAY = {"time_s": s, "x_um": um, "y_um": um}
 STATE = ((px.counted_from("x0", "y0"),) * 2) + (px / s, covariance(px, px / s))
-#: The power of two by which grey levels are multiplied is another one: single precision, and the
-#: last step of an iteration that ends at 0.05 px.
+#: The tracker scales grey levels by a power of two. With another one, results differ by float32
+#: rounding and by the last step of an iteration that ends at 0.05 px.
 SINGLE = 2e-3
 
 LAWS = {
@@ -116,14 +116,14 @@ def test_law_holds(law, name):
 @pytest.mark.parametrize("grey", [1e-9, 1e-6, 1.0, 257.0, 2e7])
 @pytest.mark.parametrize("ramp", [0.0, 0.5])  # grey levels a px
 @pytest.mark.parametrize("box", [BOX, (38, 26, 51, 40)])
-def test_gain_and_bias_map_template_to_frame_and_are_those_at_its_middle(grey, ramp, box):
+def test_gain_and_bias_are_those_at_the_middle_of_the_template(grey, ramp, box):
     scene = 2 * SCENE
     right = np.arange(140) - (box[0] + (box[2] - 1) / 2)
     track = ESMTracker(scene * grey, box, "translation").track(
         (GAIN * scene + 30 + ramp * right) * grey
     )
-    # Single precision, and what the end of the iteration at 0.05 px leaves; the half px from the
-    # middle of an even side to its pixel.
+    # Float32 rounding, and an iteration that ends at 0.05 px; with a ramp, also half a px from the
+    # middle of an even side to the next pixel.
     assert track.gain == pytest.approx(GAIN, abs=2e-3)
     assert track.bias == pytest.approx(30 * grey, abs=(0.1 + 0.5 * ramp) * grey)
 
@@ -134,7 +134,7 @@ def test_track_follows_flips_and_rotations(view):
     first = ESMTracker(one, BOX, "affine").track(other)
     box = view.box(BOX, SCENE.shape)
     seen = ESMTracker(view.image(one), box, "affine").track(view.image(other))
-    # In another order of summation the iteration may end a step earlier: 0.05² px.
+    # Sums in another order may end the iteration one step earlier, which moves it by 0.05² px.
     np.testing.assert_allclose(
         seen.center, view.points(first.center[None], SCENE.shape)[0], atol=2.5e-3
     )
@@ -159,10 +159,10 @@ def test_tracker_recovers_after_lost_frame_like_a_new_one():
     assert lost.lost
     new = ESMTracker(one, BOX, "affine").track(other)
     assert lost.hidden.shape == new.hidden.shape == BOX[:1:-1]
-    for _ in range(2):  # anywhere in the frame, and then from where it was
+    for _ in range(2):  # by a search of the whole frame, then from the last pose
         again = tracker.track(other)
         np.testing.assert_allclose(again.corners, new.corners, atol=0.05)
-    # OpenCV 4 rounds places to 1/32 px, which here changes what is left over by a third.
+    # OpenCV 4 rounds positions to 1/32 px, which here changes the residuals by a third.
     within = 0.4 if cv2.__version__ < "5" else 0.2
     np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
