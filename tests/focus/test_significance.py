@@ -114,14 +114,17 @@ def test_frames_of_a_stack_whose_brightness_changes_are_not_left_out() -> None:
 
 
 def moving_lens(texture, depth, vertex, rate, spread):
-    """Return frames whose blur grows as |1/a − 1/b|, from a vertex so far before the first one."""
+    """Return frames whose blur grows as |1/a − 1/b|.
+
+    a, b: distances of frame and object from a point before the first frame, at distance `vertex`.
+    """
     k = np.arange(30.0)[:, None, None]
     blurs = rate * (vertex + depth) * np.abs(k - depth) / (vertex + k)
     return defocused(np.float32(texture), blurs, spread)
 
 
 def test_uncertainty_matches_error_near_and_far_from_a_lens_that_moves():
-    """The coordinate in which peaks are symmetric changes five times as fast at 7 as at 23."""
+    """Peaks are symmetric in 1/a, which changes five times as fast at frame 7 as at frame 23."""
     depth = np.tile(np.linspace(7, 23, 112), (96, 1))
     frames = moving_lens(synthetic.mixed_texture(depth.shape, 1), depth, 6.0, 0.4, gaussian_blur)
     found = depth_from_focus(camera_frame(frames, np.random.default_rng(2), noise=1.0), spacing=1)
@@ -135,13 +138,15 @@ def test_intervals_contain_heights_whatever_the_shape_of_the_peaks(measure, leas
     """Eight random lenses that move; at 0.4.0 medians were off by 0.67 frames, stated as 0.02.
 
     Blur is a disc or a Gaussian, so that peak locking differs. A bias is common to a whole plane,
-    so the share of one plane is near 0 or 1.
-    Without the bias by the shape of the peaks the mean shares of three seeds are 0.2 to 0.6.
+    so either nearly all or nearly none of a plane's pixels are inside. If the uncertainty leaves
+    out the bias by the shape of the peaks, the check of the rms fails, which comes first; the
+    mean shares of three seeds are then 0.2 to 0.6.
     """
     rng, held = np.random.default_rng(11), []
     for case in range(8):
         vertex, (low, high) = 10 ** rng.uniform(0.8, 1.8), np.sort(rng.uniform(8, 22, 2))
         depth = np.tile(np.linspace(low, high if case > 3 else low, 112), (96, 1))
+        # The radius of a disc is twice its standard deviation.
         spread, relative = (disc_blur, 2) if case % 2 else (gaussian_blur, 1)
         rate = relative * rng.uniform(0.35, 0.5)
         texture = synthetic.mixed_texture(depth.shape, rng)
