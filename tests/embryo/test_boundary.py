@@ -1,4 +1,4 @@
-"""The outline in an image against the outline that was drawn, and every image that shows none."""
+"""The outline in an image against the outline that was drawn; images without one are rejected."""
 
 import re
 from functools import cache
@@ -73,7 +73,8 @@ def bar_before_wall(
     return image, start + length * along_axis, lambda points: along(points) - length - 40.0
 
 
-#: Where the axis starts, its slope, length and half-width: wide, through the image's corner, thin.
+#: Start of the axis (x, y), slope, length, half-width, image shape: one wide bar, four through a
+#: corner, one thin.
 BARS = [
     ((330.0, 0.0), np.tan(np.deg2rad(3.9)), 300.0, 60.0, (480, 1400)),
     *(((0.0, y), 0.7, 150.0, half, (240, 320)) for y, half in ((-8, 6), (0, 6), (8, 6), (2, 10))),
@@ -84,7 +85,7 @@ BARS = [
 @pytest.mark.parametrize("bar", BARS)
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_straight_probe_and_wall_are_measured_exactly(bar, mirrored):
-    """Along a row, the wide bar is 0.23 %, 0.14 px, wider than across its axis."""
+    """Widths are across the axis: along a row, the wide bar would measure 0.14 px (0.23 %) more."""
     image, end, beyond_wall = bar_before_wall(*bar)
     _, slope, _, half, (rows, columns) = bar
     found = extract_boundary(image[:, ::-1] if mirrored else image, direction="top", dimple=False)
@@ -97,7 +98,7 @@ def test_straight_probe_and_wall_are_measured_exactly(bar, mirrored):
     turned = found.view.tilt + np.arctan(found.probe.slope)
     assert turned == pytest.approx((-1 if mirrored else 1) * np.arctan(slope), abs=2e-3)
     assert not found.under_probe.any()
-    # What a rotation adds where the image ends is no wall.
+    # Leave out the border that rotating the image fills in.
     inside = ((points > 6) & (points < [columns - 7, rows - 7])).all(axis=1)
     assert inside.sum() > 100
     np.testing.assert_allclose(beyond_wall(points[inside]), 0.0, atol=0.05)
@@ -107,8 +108,11 @@ def test_straight_probe_and_wall_are_measured_exactly(bar, mirrored):
 def test_wall_of_any_blur_and_contrast_is_found_up_to_sides_of_image(blur, step):
     image, _, beyond_wall = bar_before_wall(*BARS[-1], blur=blur, step=step)
     found = extract_boundary(image, direction="top", dimple=False)
-    # Noise of 2/255 moves a point by 0.06 px; pixels sample the sharpest wall too coarsely.
+    # The sharpest wall is sampled too coarsely by pixels; 0.05 px is below what noise of 2/255 does
+    # (0.06 px).
     np.testing.assert_allclose(beyond_wall(found.points), 0.0, atol=0.05)
+    assert found.points[:, 0].min() < 2
+    assert found.points[:, 0].max() > 317
     assert found.blur == pytest.approx(blur, abs=0.05)
 
 
@@ -116,47 +120,49 @@ def test_std_of_points_matches_scatter_in_noise():
     image, _, beyond_wall = bar_before_wall(*BARS[0], noise=2.0)
     found = extract_boundary(image, direction="top", dimple=False)
     scatter = np.std(beyond_wall(found.points))
-    # Points one px apart share half of their noise; resampling takes a tenth off the residuals.
+    # Resampling lowers the residuals, and thus the std, by a tenth; 1300 points determine their
+    # scatter to 2 %.
     assert found.std.mean() == pytest.approx(scatter, rel=0.2)
 
 
 def test_outline_and_std_match_rendered_outline(scene, boundary):
     seen = boundary.points[~boundary.under_probe]
     off = distances(scene, seen)
-    # The dark wall darkens the brighter ground more than the fluid, which moves its apparent middle
-    # outwards by about 0.02 px; noise of 2/255 moves a point by 0.065 px.
+    # The dark wall darkens the brighter ground more than the fluid, so the wall seems to lie
+    # 0.02 px too far out; noise of 2/255 moves a point by 0.065 px.
     assert abs(off.mean()) < 0.04
     assert off.std() < 0.09
     assert np.abs(off).max() < 0.4
     assert boundary.std[~boundary.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
     assert (np.diff(boundary.x) >= 0).all()
-    # It reaches from near the probe to well beyond both rims.
+    # The outline reaches from near the probe to well beyond both rims.
     radius = scene.embryo.dimple_radius / scene.pixel_size
     for side in (-1, 1):
         distance = side * (seen[:, 0] - scene.center[0])
         assert distance[distance > 0].min() < 15
         assert distance.max() > 1.5 * radius
-    # A sensor's square cell adds 1/12 px² to the blur, the wall's own thickness as much of its own.
+    # Variances add: 1/12 px² of a pixel's cell, t²/12 of a wall of thickness t.
     wall = (scene.embryo.thickness / scene.pixel_size) ** 2 / 12
     assert boundary.blur == pytest.approx(np.sqrt(1 + 1 / 12 + wall), abs=0.06)
 
 
 def test_without_probe_matches_image_rendered_without_probe(scene, boundary):
-    """In light that rises by one grey level a column, so that the sides differ."""
+    """The light rises by one grey level a column, so the ground differs beside the probe."""
     light = np.arange(scene.image.shape[1], dtype=float)
     noisy, clean = scene.image[:75], render(probe=False, noise=0.0).image[:75]
     filled = boundary.without_probe(scene.image + light)[:75] - light
     bar = np.abs(noisy - filled) > 20
     assert bar.sum() > 75 * 11
-    # The ground is a straight line between noisy neighbors; light bends by less than a grey level.
+    # The fill is a straight line between two noisy pixels; the true light deviates from a line by
+    # less than one grey level.
     assert np.abs(filled - clean)[bar].max() < 3
 
 
-def test_outline_does_not_depend_on_black_level(scene, boundary):
+def test_outline_does_not_depend_on_gain_or_black_level(scene, boundary):
     other = extract_boundary(scene.image * 0.5 + 10.0)
     np.testing.assert_array_equal(other.under_probe, boundary.under_probe)
-    # float32 keeps seven digits of a grey level, which are 1e-6 px of an edge; a wall's place is
-    # polished to about 1e-3 px.
+    # float32 keeps seven digits of a grey level, which move an edge by 1e-6 px; the fit of a wall
+    # ends within about 1e-3 px.
     np.testing.assert_allclose(other.points, boundary.points, atol=5e-3)
 
 
@@ -176,7 +182,7 @@ def test_outline_follows_rotation_of_image(scene, boundary, edge, turns):
 def test_outline_and_dimple_of_mirrored_image_are_mirrored(scene, boundary):
     other = extract_boundary(scene.image[:, ::-1])
     mirrored = [scene.image.shape[1] - 1, 0] + other.points[::-1] * [-1, 1]
-    # The probe's middle is found from the other side: its edges to some hundredths.
+    # The axis of the probe depends on its edges, which are found to some hundredths of a px.
     off = np.hypot(*(mirrored - boundary.points)[~boundary.under_probe].T)
     assert np.median(off) < 0.05
     sizes = {"pixel_size": scene.pixel_size, "probe_half_width": 25.0}
@@ -188,7 +194,7 @@ def test_outline_and_dimple_of_mirrored_image_are_mirrored(scene, boundary):
 
 @pytest.mark.parametrize(("degrees", "edge", "turns"), [(-50.0, "top", 0), (25.0, "left", 1)])
 def test_outline_is_right_under_leaning_probe(degrees, edge, turns):
-    """Of an image of the same size, turned about the middle of the dimple's side."""
+    """The scene leans by `degrees` about `center`, and the image is then turned by quarters."""
     place = {"tilt": np.deg2rad(degrees), "shape": (400, 520), "center": (260.0, 175.0)}
     leaning = render(**place)
     image = np.rot90(leaning.image, turns)
@@ -197,12 +203,12 @@ def test_outline_is_right_under_leaning_probe(degrees, edge, turns):
     assert abs(found.probe.slope) < np.tan(np.deg2rad(2.0))
     points = before_turning(found.points, leaning.image.shape, turns)
     off = distances(leaning, points[~found.under_probe])
-    # As upright, and what interpolation between turned pixels adds.
+    # Limits of the upright probe, plus the error of interpolation.
     assert abs(off.mean()) < 0.05
     assert off.std() < 0.12
     assert np.abs(off).max() < 0.6
     assert (found.points >= -0.5).all()
-    # Filled, the probe is gone where it stood.
+    # Where the probe was, the filled image is like one rendered without a probe.
     filled, before = found.without_probe(image), found.view.rotate(np.float32(image))
     changed = np.abs(filled - before) > 30
     assert changed.sum() > 100 * 11
@@ -213,13 +219,13 @@ def test_outline_is_right_under_leaning_probe(degrees, edge, turns):
 
 @pytest.mark.parametrize("probe", ["needle", "glass", "angled"])
 def test_probe_and_outline_match_independent_renderer(probe):
-    """From any side, in a file of colors, at a quarter of the resolution (seed 2002)."""
+    """`draw_scene` chooses side, colors and resolution; seed 2002 gives a quarter of it."""
     drawn = draw_scene(np.random.default_rng(2002), probe)
     assert drawn.shrink == 4
     found = extract_boundary(drawn.image)
     seen = found.y[~found.under_probe]
     depth = seen.max() - (found.image_height - 1 - found.probe.tip[1])
-    # The end of glass is a wall as dark as the chorion: both are filled, 2 px more.
+    # Glass ends in a wall as dark as the chorion, and both count as probe: up to 2 px deeper.
     assert depth == pytest.approx(drawn.depth / drawn.pixel_size, abs=2.0)
     assert np.ptp(found.x) / 2 == pytest.approx(drawn.radius / drawn.pixel_size, rel=0.05)
     half = drawn.probe_half_width / drawn.pixel_size
@@ -238,13 +244,13 @@ def test_outline_and_std_are_right_on_blurred_image(edge: str, turns: int) -> No
     assert found.blur == pytest.approx(2.7, abs=0.2)
     points = before_turning(found.points, soft.image.shape, turns)
     off = distances(soft, points[~found.under_probe])
-    assert abs(off.mean()) < 0.15  # as unblurred, in pixels of twice the size
+    assert abs(off.mean()) < 0.15  # 0.3 µm, twice what the sharp image is allowed
     assert np.abs(off).max() < 1.5
     assert found.std[~found.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
     tip = found.view.to_image(np.array([found.probe.tip]))[0]
     under = found.points[found.under_probe]
     np.testing.assert_allclose(under[len(under) // 2], tip, atol=1.0)
-    # The ground beside a blurred edge is not yet its own: half a pixel.
+    # Blur makes the half-width about 0.9 px too small; one (1.94 µm) is allowed.
     assert found.probe.half_width * soft.pixel_size == pytest.approx(25.0, abs=1.94)
     filled = found.without_probe(image)
     assert filled[: int(found.probe.tip[1]) - 9, int(found.probe.tip[0])].min() > 150
@@ -262,25 +268,25 @@ def test_color_image_has_outline_of_its_luminance(scene) -> None:
 
 
 def test_boundary_is_rejected_in_pictures_without_an_embryo():
-    """No outline and no other error: 24 pictures and a texture."""
+    """24 photographs and a texture raise a ValueError, and no other error."""
     images = [*(image for _, image in pictures()), texture(np.random.default_rng(2))]
     for image in images:
         with pytest.raises(ValueError, match="image must") as refusal:
             extract_boundary(image)
-        # What is wrong from some edges names each of them once.
+        # Together, the reasons name each of the four edges exactly once.
         if edges := re.findall(r"\(from the ([\w, ]+)\)", str(refusal.value)):
             assert sorted(", ".join(edges).split(", ")) == ["bottom", "left", "right", "top"]
 
 
 def barred(image: np.ndarray, end: int, left: int) -> np.ndarray:
-    """An image with one more dark bar, from its upper edge to a row."""
+    """Return the image with one more dark bar, from its upper edge to row `end`."""
     image = image.copy()
     image[:end, left : left + 13] = 42
     return image
 
 
 def hollow() -> np.ndarray:
-    """A bar whose middle is no darker than half-way to the ground, so that no row has an edge."""
+    """A bar whose middle is as bright as the ground, so that its rows have no usable edges."""
     image = np.full((200, 400), 200.0)
     image[:120, 141:161] = 40.0
     image[8:118, 148:154] = 200.0
@@ -298,7 +304,7 @@ def bare(embryo: Embryo = PRESSED) -> np.ndarray:
 NO_PROBE = "one dark probe that enters through its upper edge, got 0 bars"
 ONE_SIDE = "image must show an embryo's outline on both sides of the probe"
 FLAT = "image must show a dimple at least 3 px deep"
-#: Images that do not show what is needed, and what is said of them.
+#: Images without a measurable dimple, and the error of each.
 SPOILED = {
     "no embryo": (lambda: barred(np.full((320, 480), 190, np.uint8), 130, 234), ONE_SIDE),
     "probe beside": (lambda: barred(bare(), 200, 30), ONE_SIDE),

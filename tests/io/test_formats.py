@@ -18,7 +18,7 @@ from tests.io.conftest import COUNT
 
 
 def assert_frames(source: object, expected: NDArray, **options: object) -> None:
-    """Read twice what is no iterator."""
+    """Compare the frames; read twice unless the source is an iterator."""
     reader = read_frames(source, **options)
     assert reader.count in (None, len(expected))
     assert reader.shape == expected.shape[1:3]
@@ -42,7 +42,7 @@ def files(folder: Path, frames: NDArray) -> list[Path]:
     return [path / f"frame {k}.png" for k in range(len(frames))]
 
 
-#: What gives grey levels of 8 and of 16 bits as they are, in memory and in a folder.
+#: Every source of 8- and 16-bit grey levels that returns them unchanged.
 SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
     "array": lambda _, frames: frames,
     "big-endian array": lambda _, frames: frames.astype(frames.dtype.newbyteorder(">")),
@@ -78,12 +78,13 @@ SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_grey_levels_are_returned_as_stored(stack, tmp_path, kind, dtype):
     frames = stack.astype(dtype) * (1 if dtype is np.uint8 else 200)
+    # color=True leaves grey as it is
     assert_frames(SOURCES[kind](tmp_path, frames), frames, color=True)
 
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", None])
 def test_files_of_pillow_give_their_levels_and_colors(stack, tmp_path, compression):
-    """It reads what tifffile has no codec for."""
+    """Pillow decodes the compressions that tifffile cannot."""
     path, color = tmp_path / "a.tif", np.stack([stack, stack // 2, 255 - stack], axis=-1)
     assert_frames(make.by_pillow(path, color, compression=compression), color, color=True)
     make.by_pillow(path, np.stack([stack, 255 - stack], axis=-1), compression=compression)
@@ -119,7 +120,7 @@ def test_other_types_of_numbers_become_float32(stack, tmp_path):
     assert_frames(bits, np.where(stack > 99, np.uint8(255), np.uint8(0)))
 
 
-def test_packed_12_bits_are_read_and_10_bits_name_the_package(stack, tmp_path):
+def test_packed_12_bits_are_read_and_10_bits_need_imagecodecs(stack, tmp_path):
     levels = stack.astype(np.uint16) * 3 + 1
     assert_frames(make.packed(tmp_path / "a.tif", levels * 5, 12), levels * 5)
     path = make.packed(tmp_path / "b.tif", levels, 10)
@@ -144,7 +145,7 @@ def test_palette_of_either_scale_becomes_its_colors(tmp_path, scale):
 
 
 def test_imagej_display_palette_is_ignored(stack, tmp_path):
-    """ImageJ stores the table by which it shows grey levels, as Fire or Blue, as a palette."""
+    """ImageJ stores its display colors (Fire, Blue) as a palette; the pixels are grey levels."""
     table = np.zeros((3, 256), np.uint16)
     table[2] = 257 * np.arange(256)[::-1]
     how = {"photometric": "palette", "colormap": table}
@@ -152,7 +153,7 @@ def test_imagej_display_palette_is_ignored(stack, tmp_path):
 
 
 def test_jpeg_and_its_orientation_are_read(tmp_path):
-    """A smooth image loses a grey level or two; noise would lose more."""
+    """JPEG changes a smooth image by a grey level or two; it would change noise more."""
     smooth = np.linspace(20, 200, 64 * 48).reshape(48, 64).astype(np.uint8)
     path = make.by_pillow(tmp_path / "a.tif", smooth[None], compression="jpeg", quality=95)
     np.testing.assert_allclose(read_grey(path).astype(int), smooth, atol=3)
@@ -163,7 +164,7 @@ def test_jpeg_and_its_orientation_are_read(tmp_path):
     np.testing.assert_allclose(found, np.rot90(smooth, -1), atol=3)
 
 
-def test_any_file_of_an_ome_tiff_of_many_opens_all(stack, tmp_path):
+def test_any_file_of_a_split_ome_tiff_opens_the_whole_stack(stack, tmp_path):
     folder = make.set_of_ome(tmp_path / "set", stack)
     for source in (folder, folder / "scan_z2.ome.tif"):
         assert_frames(source, stack)
@@ -182,7 +183,7 @@ def test_frames_of_a_gif_are_read(stack, tmp_path):
     np.testing.assert_allclose(np.stack(list(reader)).astype(int), stack, atol=1)
 
 
-def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
+def test_tilde_is_home_only_before_a_slash(stack, tmp_path, monkeypatch):
     make.tiff(tmp_path / "~scan.tif", stack, **make.GREY)
     cv2.imwrite(str(tmp_path / "~a.png"), stack[0])
     monkeypatch.chdir(tmp_path)
@@ -196,7 +197,7 @@ def test_names_can_begin_with_a_tilde_or_the_home(stack, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("place", ["after each page", "at the end"])
 def test_preview_beside_pages_is_no_frame(stack, tmp_path, place):
-    """As cameras and Olympus' and FEI's programs write it."""
+    """Cameras, and the programs of Olympus and FEI, store such previews."""
     how = {"metadata": None, **make.GREY}
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         for k, frame in enumerate(stack[:3]):
@@ -251,11 +252,17 @@ def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):
         ("ImageJ", {"spacing": 3.0, "unit": "um"}),
     ],
 )
-def test_times_have_no_positions(stack, tmp_path, kind, about):
+def test_frames_along_time_have_no_positions(stack, tmp_path, kind, about):
     name, how = make.TIFFS[kind]
     how = how | {"resolution": (0.5, 0.5), "metadata": {"axes": "TYX", **about}}
     reader = read_frames(make.tiff(tmp_path / name, stack, **how))
     assert (reader.pixel_size, reader.positions) == (2.0, None)
+
+
+def test_ome_zarr_frames_along_time_have_no_positions(stack, tmp_path):
+    reader = read_frames(make.ome_zarr(tmp_path / "a", stack[:, None], "0.5", "tzyx"))
+    assert reader.axis == "T"
+    assert reader.positions is None
 
 
 def test_series_selects_an_image_of_the_file(stack, tmp_path):
@@ -271,6 +278,9 @@ def test_series_selects_an_image_of_the_file(stack, tmp_path):
     for options in ({}, {"series": 2}):
         with pytest.raises(ValueError, match=r"holds 2 series of images \(.*\): choose one"):
             read_frames(path, **options)
+
+
+def test_channel_is_rejected_where_there_is_none(stack):
     for source in (stack, [stack[0]], read_frames(stack)):
         with pytest.raises(ValueError, match="channel must be left out for frames without that"):
             read_frames(source, channel=0)
@@ -287,7 +297,7 @@ def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
     assert (reader.axis, reader.count, reader.pixel_size) == ("Z", COUNT, pytest.approx(0.65))
     assert reader.positions == pytest.approx(2.5 * np.arange(COUNT))
     np.testing.assert_array_equal(np.stack(list(reader)), (255 - stack) // 2)
-    # A group for each image, as bioformats2raw writes it, and fewer axes.
+    # Several images in one store, a group each (bioformats2raw's layout), here with axes zyx.
     for k, frames in enumerate((stack, stack[:4])):
         make.ome_zarr(tmp_path / "b.zarr" / str(k), frames, version, "zyx")
     name, text = (".zgroup", '{"zarr_format": 2}')
@@ -299,8 +309,8 @@ def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
     assert_frames(tmp_path / "b.zarr", stack[:4], series=1)
 
 
-def test_other_groups_of_zarr_are_rejected(stack, tmp_path):
-    """A plate, a group of arrays, version 0.3, and an image with its frames along the last axis."""
+def test_zarr_groups_that_are_no_stack_are_rejected(stack, tmp_path):
+    """Frames along the last axis (a), version 0.3 (b), and a group that is no image (c)."""
     make.ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
     make.ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
     zarr = pytest.importorskip("zarr")

@@ -1,4 +1,4 @@
-"""The loop over a microscope: what it reaches, what it keeps to, and how it ends."""
+"""The loop over a microscope: the targets it reaches, the limits it keeps, and how it ends."""
 
 import os
 import signal
@@ -44,10 +44,10 @@ def test_targets_are_reached_and_every_frame_is_logged(kind):
     assert log["event"].iloc[-2:].tolist() == ["reached", "done"]
     seen = log[log["phase"] != "end"]
     assert np.isfinite(seen[["measured_x_px", "stage_x_um", "latency_s"]]).all(axis=None)
-    # Both ways along both axes, so that a drift is told apart.
+    # Both ways along both axes, so that a drift can be distinguished from the Jacobian.
     tried = log.loc[log["phase"] == "calibration", ["stage_x_um", "stage_y_um"]]
     np.testing.assert_allclose([tried.min(), tried.max()], [[-10.0] * 2, [10.0] * 2], atol=0.05)
-    # What was commanded is where the stage is seen next, to an increment of its drive.
+    # The next frame shows the stage at the commanded position, to an increment of its drive.
     sent = seen[["command_x_um", "command_y_um"]].to_numpy()[:-1]
     stood = seen[["stage_x_um", "stage_y_um"]].to_numpy()[1:]
     np.testing.assert_allclose(stood[:8], sent[:8], atol=0.05)
@@ -56,7 +56,7 @@ def test_targets_are_reached_and_every_frame_is_logged(kind):
 def test_second_run_with_the_jacobian_of_the_first_needs_no_calibration():
     scope = scope_of(drift=(1.5, -0.5))
     run = steer(scope, AWAY)
-    # Over half a second of calibration 0.02 px of tracking know 0.1 px/s.
+    # Tracking to 0.02 px during half a second gives the drift to about 0.1 px/s.
     np.testing.assert_allclose(run.drift, (1.5, -0.5), atol=0.25)
     again = steer(scope, AWAY, jacobian=run.jacobian)
     assert again.reached.all()
@@ -70,7 +70,7 @@ def test_moves_stay_within_step_and_travel():
     assert run.reached.all()
     way = np.hypot(*np.diff(run.log[["stage_x_um", "stage_y_um"]].to_numpy(), axis=0).T)
     assert way.max() == pytest.approx(20.0, abs=0.5)  # rounding of times, and two increments
-    assert run.log["event"].str.contains("limit").sum() >= 5  # 39 px are 156 µm
+    assert run.log["event"].str.contains("limit").sum() >= 5  # the way of 39 px is 156 µm
     # A Jacobian that is too small moves the stage too far: by 312 µm from one target to the other.
     near = 0.7 * np.array(AWAY)
     run = steer(scope_of(), [near, -near], travel=[300.0, 170.0], jacobian=0.7 * JACOBIAN)
@@ -101,6 +101,7 @@ def test_servo_runs_outside_the_main_thread():
 def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     scope = scope_of(stage=Stage(saturation=100.0))
     stage, calls = scope.workstation.stage, []
+    second = threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT))
     for name in ("move_to", "stop"):
         call = getattr(stage, name)
         setattr(stage, name, lambda *to, name=name, call=call: (calls.append(name), call(*to)))
@@ -108,11 +109,14 @@ def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     def press(row):
         if row["target"] == 0 and "pressed" not in calls:
             calls.append("pressed")
+            second.start()  # before the first press, which raises here at once
             os.kill(os.getpid(), signal.SIGINT)
-            threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     with pytest.raises(KeyboardInterrupt) as caught:
         steer(scope, AWAY, step=20.0, test_move=20.0, progress=press)
+    sent = second.finished.is_set()
+    second.cancel()  # it would interrupt pytest
+    assert sent
     run = caught.value.run
     assert (run.reason, run.still) == ("interrupted by the user", True)
     assert len(run.log) > 8
@@ -122,11 +126,11 @@ def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     np.testing.assert_array_equal(stage.position(), where)
 
 
-# --- How a run ends, and that it says why -------------------------------------------------------
+# --- How a run ends, and the reason that it states ----------------------------------------------
 
 
 def seeing(center, **more):
-    """Return a tracker that finds what a function returns."""
+    """Return a tracker that finds the feature where `center()` says."""
     return SimpleNamespace(track=lambda frame: SimpleNamespace(center=center(), lost=False, **more))
 
 
@@ -136,7 +140,7 @@ def test_run_ends_after_three_moves_that_the_image_does_not_follow():
     given = {"travel": 800.0, "jacobian": JACOBIAN, "tolerance": 0.2}
     run = servo(scope.workstation, seeing(lambda: scope.home), scope.home + away, **given)
     assert run.reason.startswith("the image does not follow the stage: 3 moves in a row were off")
-    # Three moves by what J says that is missing.
+    # The feature seems to stand, so each of the moves is the whole way that J predicts.
     assert "the last [0. 0.] px instead of [10.   -8.33] px" in run.reason
     assert run.log["phase"].tolist() == ["start"] + ["servo"] * 4 + ["end"]
 
@@ -156,8 +160,8 @@ def test_tracker_needs_neither_reason_nor_covariance():
     tracker = seeing(lambda: scope.workstation.feature)
     run = servo(scope.workstation, tracker, scope.home + AWAY, travel=400.0)
     assert run.reached.all()
-    # Exact but for the focus and the increments of the drive.
-    np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=0.005)
+    # This tracker makes no error, and the test moves are whole increments of the drive.
+    np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=1e-9)
     tracker.track = lambda frame: SimpleNamespace(lost=True)
     run = servo(scope.workstation, tracker, scope.home, travel=400.0)
     assert run.reason == "lost: lost in the first frame"
