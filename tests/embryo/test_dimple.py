@@ -21,9 +21,9 @@ CENTER = (500.3, 600.2)  # px, y up
 def outline(
     embryo: Embryo, noise: float = 0.0, tilt: float = 0.0, shared: int = 1, seed: int | None = None
 ):
-    """Points of an embryo's outline one px apart, moved across it by noise, as an extraction's.
+    """Return a boundary of points one px apart on an outline, displaced across it by noise.
 
-    The noise is a running mean of `shared` normal errors.
+    The noise is a running mean over `shared` independent normal errors.
     """
     x, y = embryo.outline(PIXEL).T / PIXEL
     order = np.argsort(x)
@@ -65,32 +65,34 @@ def fit(boundary):
     rim=st.floats(350.0, 600.0),
     tilt=st.floats(-0.06, 0.06),
 )
-@example(depth=47.5, rim=431.0, tilt=0.0)  # exact but for the flank, a fifth of the points
+@example(depth=47.5, rim=431.0, tilt=0.0)  # a fifth of its points lie on the flank
 def test_fit_dimple_recovers_dimple_of_exact_outline(depth, rim, tilt):
     embryo = Embryo.dented(depth, modulus=1.0, rim_radius=rim)
     boundary = outline(embryo, tilt=tilt)
     dimple = fit(boundary)
-    # The drawn flank is an ellipse and the fitted one a circle: parts in a thousand.
+    # The drawn flank is an ellipse and the fitted one a circle, which changes the sizes by up to
+    # 0.3 %.
     assert dimple.dimple_depth == pytest.approx(embryo.dimple_depth, rel=3e-3)
     assert dimple.dimple_radius == pytest.approx(embryo.dimple_radius, rel=3e-3)
     assert dimple.tilt == pytest.approx(tilt, abs=1e-3)
     assert dimple.center == pytest.approx(CENTER, abs=0.05)
     assert dimple.rim_curvatures == pytest.approx((1 / rim, 1 / rim), rel=0.1)
-    # Calling the fit draws the outline.
+    # A call of the fit returns the height of the fitted outline.
     near = np.abs(boundary.x - CENTER[0]) < 1.2 * embryo.dimple_radius / PIXEL
     np.testing.assert_allclose(dimple(boundary.x[near]), boundary.y[near], atol=0.1)
 
 
 @pytest.mark.parametrize("shared", [1, 4])
 def test_covariance_matches_scatter_of_noisy_fits(shared):
-    """Of independent errors, and of errors that neighbors share: fewer tell anything."""
+    """For independent errors, and for correlated ones, which determine the sizes less well."""
     embryo = Embryo.dented(80.0, modulus=1.0)
     fits = [fit(outline(embryo, 0.06, shared=shared, seed=seed)) for seed in range(60)]
     found = np.array([[each.dimple_radius, each.dimple_depth] for each in fits])
     covariances = np.array([each.covariance for each in fits])
-    # The drawn flank is no circle: about the mean, which takes one of 60 from the scatter.
+    # The flank, which is no circle, biases the fits, so the scatter is taken about their mean. This
+    # leaves 59 of 60 degrees of freedom.
     hold_sigma((found - found.mean(axis=0)) * np.sqrt(60 / 59), covariances)
-    # Radius and depth vary together as it says; Fisher's z has the deviation 1/√57.
+    # The correlation of radius and depth matches too; Fisher's z has the standard deviation 1/√57.
     a, both, w = covariances.mean(axis=0)[[0, 0, 1], [0, 1, 1]]
     stated, seen = both / np.sqrt(a * w), np.corrcoef(found.T)[0, 1]
     assert abs(np.arctanh(seen) - np.arctanh(stated)) < 3.3 / np.sqrt(57)
@@ -109,26 +111,26 @@ def test_outliers_change_depth_by_less_than_its_std():
 
 
 def rippled(height: float):
-    """Ripples that (4.2) does not have."""
+    """Return an outline with ripples, which profile (4.2) cannot follow."""
     plain = outline(Embryo.dented(120.0, modulus=1.0))
     return replace(plain, y=plain.y + height * np.sin(np.abs(plain.x - CENTER[0]) / 6.0))
 
 
 def pit():
-    """A flat outline but for the columns beside the probe."""
+    """Return an outline that is flat except for a pit around the probe."""
     plain = outline(Embryo.dented(120.0, modulus=1.0))
     return replace(plain, y=CENTER[1] - 30.0 * (np.abs(plain.x - CENTER[0]) < 13))
 
 
 def test_outline_of_another_shape_has_larger_covariance():
     plain, other = (fit(rippled(height)) for height in (0, 3))
-    # A sine's root mean square, but for what the fit follows.
+    # The root mean square of a sine, less what the fit follows.
     assert other.misfit == pytest.approx(3 / np.sqrt(2), rel=0.2)
     assert plain.misfit < 0.02
     off = other.dimple_depth - plain.dimple_depth
     assert abs(off) < 3 * other.covariance[1, 1] ** 0.5
-    # Waves of 38 px: as if of 250 points only every tenth or so told anything. Independent errors
-    # of this size would leave the depth three times as certain.
+    # Ripples of 38 px correlate the residuals of neighbors, so that about one in ten of the 250
+    # points counts. Independent residuals of this size would give a third of the deviation.
     free = other.misfit * PIXEL / np.sqrt(np.abs(np.ptp(rippled(0).x)))
     assert other.covariance[1, 1] ** 0.5 > 3 * free
 
@@ -143,7 +145,8 @@ def test_distance_of_probe_end_from_bottom_increases_depth_variance():
     there, below = (fit(with_end_off(0.0, down)) for down in (0.0, 4.0))
     assert below.dimple_depth == pytest.approx(there.dimple_depth, rel=1e-9)
     added = below.covariance - there.covariance
-    # 4 px, of which 1 px is how well the end is seen; the profile ends within 0.05 px of it.
+    # The end of the probe is known to 1 px, which explains a part of the 4 px. The bottom of the
+    # profile lies within 0.05 px of the end that was not moved.
     assert added[1, 1] == pytest.approx((4**2 - 1**2) * PIXEL**2, rel=0.03)
     assert max(abs(added[0, 0]), abs(added[0, 1])) < 1e-9 * added[1, 1]
 

@@ -10,7 +10,7 @@ from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
 
 
 def test_rim_is_nearest_maximum_in_upper_half() -> None:
-    # Behind a hill that is higher than half the dimple, or not, is the highest one.
+    # The hill at 100 px is the rim if it is higher than half the dimple, else the one behind it is.
     for height, rim in ((60.0, 100.0), (20.0, 50.0)):
         curve = GaussianSum(
             [80.0, height, 70.0], [50.0, 100.0, 190.0], [12.0, 12.0, 20.0], domain=(20, 220)
@@ -26,7 +26,7 @@ def test_rim_is_nearest_maximum_in_upper_half() -> None:
 
 
 def test_fit_and_covariance_equal_those_of_curve_fit() -> None:
-    """Points in no order; a narrow hill on a broad one, which changes sides during the search."""
+    """Points in random order; a narrow hill on a broad one, which changes sides in the search."""
     x = np.random.default_rng(2).permutation(np.linspace(0, 120, 150))
     hills = np.array([[40.0, 20.0, 20.0], [30.0, 45.0, 100.0], [30.0, 9.0, 14.0]])
 
@@ -51,7 +51,7 @@ def test_derivatives_equal_differences(x: float) -> None:
         [44.3, 41.7, 6.9, 14.6],
         domain=(50, 265),
     )
-    # Second-order differences: their error is step² times a third derivative of order one.
+    # The error of central differences is step² times a third derivative of order one.
     step = 1e-4
     for derivative, value in ((curve.slope, curve), (curve.second_derivative, curve.slope)):
         by_value = (value(x + step) - value(x - step)) / (2 * step)

@@ -1,4 +1,4 @@
-"""From image to modulus on rendered embryos; `benchmarks/capsule_embryo.py` on more."""
+"""The modulus from images of rendered embryos; `benchmarks/capsule_embryo.py` has more images."""
 
 import numpy as np
 import pytest
@@ -18,12 +18,13 @@ def test_modulus_is_unbiased_and_interval_covers_truth():
         errors.append(np.log(modulus / scene.modulus))
         stds.append(std)
         inside += found.interval[0] < scene.modulus < found.interval[1]
-    # The mean of ten errors of 1.5 % is known to 0.5 %: three of those.
+    # The mean of ten errors of 1.5 % has the standard deviation 0.5 %; three of those.
     assert abs(np.mean(errors)) < 0.015
     assert np.std(errors) < 0.05
-    # Of ten intervals of 95 % seven or fewer hold once in 90.
+    # Seven or fewer of ten 95 % intervals contain the truth once in 90 trials.
     assert inside >= 8
-    # Intervals too wide would hold as well: the pulls must not be small (χ², ten pulls, 0.1 %).
+    # Intervals that are too wide would pass as well: 1.48 is the 0.1 % quantile of χ² of ten errors
+    # in standard deviations.
     assert np.sum(np.divide(errors, stds) ** 2) > 1.48
 
 
@@ -35,17 +36,17 @@ def pressed_capsule():
 
 def test_capsule_method_recovers_modulus_and_radius(pressed_capsule):
     modulus, std, found = by_library(pressed_capsule, "capsule")
-    # Its own standard deviation is 0.8 %; fifty images of each probe are in the benchmark.
+    # The stated standard deviation is 0.8 %; the benchmark has fifty images of each probe.
     assert modulus == pytest.approx(pressed_capsule.modulus, rel=0.025)
     assert found.interval[0] < pressed_capsule.modulus < found.interval[1]
-    # Of the wall's middle, which is not quite that of its profile: half a percent.
+    # The middle of the wall differs from that of its grey-level profile, which adds half a percent.
     assert std == pytest.approx(np.hypot(found.dimple.modulus_std / modulus, 0.005))
     assert std < 0.02
     assert found.force == pressed_capsule.force
     assert found.dimple.radius == pytest.approx(pressed_capsule.radius, abs=2.0)
-    # The force's direction is fitted, and is that of the probe.
+    # The fitted direction of the force is close to that of the probe.
     assert 0 < abs(found.dimple.tilt) < 0.01
-    # The fitted law's own modulus again, from radius and depth alone.
+    # The fitted law gives its modulus again from radius and depth alone.
     assert found.model_moduli["capsule, neo-hooke"] == pytest.approx(modulus, rel=1e-3)
 
 
@@ -53,7 +54,7 @@ def test_model_interval_contains_true_modulus(pressed_capsule):
     scene = pressed_capsule
     _, _, found = by_library(scene, "membrane")
     assert found.model_interval[0] < scene.modulus < found.model_interval[1]
-    # A capsule's dimple is no profile (4.2), and the interval of the modulus says so.
+    # A capsule's dimple does not follow profile (4.2), so the modulus is uncertain.
     assert found.relative_std > 0.2
     assert found.model_moduli["point load"] == pytest.approx(found.modulus, rel=1e-9)
     by_hand = disc_modulus(
@@ -68,7 +69,7 @@ def test_model_interval_contains_true_modulus(pressed_capsule):
 
 
 def test_capsule_is_among_models_if_both_ends_of_outline_are_steep(pressed_capsule):
-    """The probe comes from the right, and the outline is 338 px wide from row 153 on."""
+    """The probe comes from the right; the outline occupies 338 rows from row 153 on."""
     scene = pressed_capsule
     sizes = {"thickness": scene.thickness, "probe_half_width": scene.probe_half_width}
     given = {"pixel_size": scene.pixel_size, **sizes, "poisson_ratio": 0.5}
@@ -77,7 +78,7 @@ def test_capsule_is_among_models_if_both_ends_of_outline_are_steep(pressed_capsu
         found = modulus_from_image(scene.image[rows], scene.force, **given, direction="right")
         return found.dimple, found.model_moduli
 
-    # Of the radius, within 2 %.
+    # The capsule's radius is found within 2 %, hence the modulus within 5 %.
     dimple, steep = moduli(slice(163, 480))
     by_hand = capsule_modulus(
         scene.force, dimple.dimple_radius, dimple.dimple_depth, radius=scene.radius, **sizes

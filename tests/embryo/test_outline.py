@@ -1,4 +1,4 @@
-"""Outlines from tables: how people write them, the part with the dimple, and its error."""
+"""Outlines from tables: formats of the file, the part with the dimple, and its uncertainty."""
 
 import csv
 from pathlib import Path
@@ -18,7 +18,7 @@ from tests.laws import hold_sigma
 POINTS = pd.read_csv(find_input("outline.csv"))
 X, Y = POINTS.to_numpy().T
 PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
-#: 193 columns of a smooth dimple, and the lengths that its formula has.
+#: 193 columns of a smooth dimple.
 ACROSS = np.arange(193.0)
 
 
@@ -43,7 +43,8 @@ def test_dimple_of_synthetic_outline_matches_truth() -> None:
         radius_std, depth_std = np.sqrt(np.diag(dimple.covariance))
         assert abs(dimple.dimple_radius - truth["dimple_radius_um"]) < 2 * radius_std
         assert abs(dimple.dimple_depth - truth["dimple_depth_um"]) < 2 * depth_std
-        # No more than the rounding of the corners, half a pixel, and that the rim is flat.
+        # The smooth curve rounds the corners by half a pixel of depth; the position of a flat rim
+        # varies more.
         assert radius_std < 2 * PIXEL
         assert depth_std < PIXEL / 2
         rise = dimple.rim[1] - dimple.bottom[1]
@@ -72,8 +73,8 @@ def test_covariance_matches_errors(noise: float) -> None:
             errors.append([dimple.dimple_radius - RADIUS, dimple.dimple_depth - DEPTH])
             covariances.append(dimple.covariance)
     pulls = np.array(errors) / np.sqrt(np.array([np.diag(each) for each in covariances]))
-    # What the smoothing rounds off is a bias that all share, within its variance between spans.
-    # Of 16 normal errors the root mean square is below 1.6 in all but one of 1000 trials.
+    # Smoothing rounds the rim, a bias of all outlines that the variance between spans covers. The
+    # root mean square of 16 normal errors is below 1.6 in all but one of 1000 trials.
     assert np.sqrt(np.mean(pulls**2, axis=0)).max() < 1.6
     if noise == 0.6:
         hold_sigma(np.subtract(errors, np.mean(errors, axis=0)), covariances)
@@ -88,8 +89,8 @@ def test_outline_without_noise_has_finite_covariance(form: str) -> None:
     assert dimple.dimple_depth == pytest.approx(DEPTH, abs=3 * dimple.covariance[1, 1] ** 0.5)
 
 
-#: Outlines that return in x, below the dimple, along the border of the image or elsewhere; the
-#: point that they start at, whether they run back, and whether y points down.
+#: Closed outlines: heights of the part that returns below the dimple, number of the first point,
+#: whether the order is reversed, and whether y points down.
 CLOSED = {
     "border": (np.zeros(193), 0, False, False),
     "chord": (np.full(193, traced().min() - 2), 300, True, True),
@@ -104,17 +105,17 @@ def test_upper_part_of_closed_outline_is_used(returning, start, back, down) -> N
     x, y = np.r_[ACROSS, ACROSS[::-1]][order], np.r_[traced(), returning[::-1]][order]
     found = dimple_from_outline(x, 200 - y if down else y, pixel_size=1.0)
     assert found.y_down == down
-    # But for the first and last points, where the parts meet.
+    # Without the first and last points, where the parts meet.
     upper = traced()[1:-1] - traced()[1:-1].min()
     np.testing.assert_allclose([found.x, found.y], [ACROSS[1:-1], upper], atol=1e-12)
 
 
 def test_contour_of_mask_at_border_is_measured() -> None:
-    """As scikit-image follows what lies below the curve."""
+    """The contour that scikit-image finds around the region below the curve."""
     inside = np.arange(60.0)[:, np.newaxis] < traced()
     y, x = max(find_contours(np.pad(inside.astype(float), 1), 0.5), key=len).T - 1
     found = dimple_from_outline(x, y, pixel_size=1.0).left
-    assert found.dimple_depth == pytest.approx(DEPTH, abs=0.3)  # of whole pixels
+    assert found.dimple_depth == pytest.approx(DEPTH, abs=0.3)  # the mask has whole pixels
 
 
 def test_closed_outline_in_random_order_is_rejected() -> None:
@@ -127,7 +128,7 @@ def test_closed_outline_in_random_order_is_rejected() -> None:
 @pytest.mark.parametrize("noise", [0.05, 0.5])
 @pytest.mark.parametrize("shared", [1, 6])
 def test_noisy_arc_is_rejected(noise: float, shared: int) -> None:
-    """Such as the edge of a coin; noise of pixels apart, and noise that neighbors share."""
+    """An arc such as the edge of a coin has no dimple, with independent or correlated noise."""
     x = np.arange(300.0) - 150
     for seed in range(6):
         rough = uniform_filter1d(np.random.default_rng(seed).normal(0, noise, x.size), shared)
@@ -153,7 +154,7 @@ TABLES = {
     "decimal comma, spaces": POINTS.to_csv(index=False, sep=" ", decimal=","),
     "decimal comma, tabs": POINTS.to_csv(index=False, header=False, sep="\t", decimal=","),
     "capitals": POINTS.rename(columns=str.upper).to_csv(),
-    "no names": POINTS.to_csv(index=False, header=False, sep="\t"),
+    "no header": POINTS.to_csv(index=False, header=False, sep="\t"),
     "spaces": POINTS.to_string(index=False, header=False),
     "spaces after commas": POINTS.to_csv(index=False).replace(",", ", "),
     "quotes": POINTS.to_csv(index=False, quoting=csv.QUOTE_ALL),
@@ -162,7 +163,7 @@ TABLES = {
     "units": POINTS.rename(columns={"x": "x (px)", "y": "y (px)"}).to_csv(index=False),
     "µm": POINTS.rename(columns={"x": "x_um", "y": "Y [µm]"}).to_csv(index=False),
     "rows": POINTS.rename(columns={"x": "col", "y": "row"}).to_csv(index=False),
-    "others beside": POINTS.assign(id=7, z=1.5)[["id", "y", "z", "x"]].to_csv(index=False),
+    "other columns": POINTS.assign(id=7, z=1.5)[["id", "y", "z", "x"]].to_csv(index=False),
 }
 
 

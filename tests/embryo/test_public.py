@@ -1,4 +1,4 @@
-"""The laws of every public name of the embryos."""
+"""The laws of every public name of `microlib.embryo`."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ from tests.laws import (
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-#: Amplitudes, centers and widths of an outline whose rims differ, px, and its range.
+#: Amplitudes, centers and widths of an outline whose rims differ, and its range of x, px.
 HILLS = np.array([[61.0, 55.0, 5.0], [52.0, 147.0, 190.0], [38.0, 43.0, 12.0]])
 DOMAIN = np.array([5.0, 203.0])
 SUM = {
@@ -46,9 +46,9 @@ FIT = {
     "dimple_radius": um, "dimple_depth": um, "covariance": um**2, "rim_curvatures": 1 / um,
     "pixel_size": um, "probe_half_width": um, "center": NUMBER, "tilt": NUMBER, "misfit": NUMBER,
 }  # fmt: skip
-#: In an image nothing has a unit but what its pixel and the force give it.
+#: µm. Only the pixel size, these lengths and the force give the results their units.
 SIZES = {"thickness": 2.6, "probe_half_width": 25.0}
-EGG = fuzz.egg().image.astype(np.float32)  # which needs no copy
+EGG = fuzz.egg().image.astype(np.float32)  # the library uses float32 without a copy
 
 
 def film(u) -> dict:
@@ -93,7 +93,7 @@ LAWS = {
     "embryo.GaussianSum.gradient": Row(
         lambda u: {"self": hills(u), "x": u.x0 + 30.0 * u.px}, NUMBER
     ),
-    # Roots are found to 1e-12 of a place that an origin moves.
+    # Roots are found to 1e-12 of x, which is large for a distant origin.
     "embryo.GaussianSum.extrema": Row(
         lambda u: {"self": hills(u)}, px.counted_from("x0"), within=1e-8
     ),
@@ -106,7 +106,7 @@ LAWS = {
         test_outline.test_dimple_does_not_depend_on_order_origin_and_unit
     ),
     "embryo.read_outline": TestedBy(test_outline.test_read_outline_accepts_common_forms),
-    # A search ends at a relative change of 1e-8, its sum of squares at the noise.
+    # The search ends at a relative change of 1e-8 of its sum of squares, most of which is noise.
     "embryo.fit_gaussians": Row(
         lambda u: {
             "x": u.x0 + np.arange(60.0) * 3.3 * u.px,
@@ -162,13 +162,13 @@ def test_law_holds(law, name):
 
 @pytest.mark.parametrize("found", ["force", "modulus"])
 def test_ends_of_model_interval_are_values_of_models(found):
-    """What is found goes with what is given, so that an end, given back, meets what was given."""
+    """Each end is the result of a model, which returns the input if it is given that end."""
     settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5}
     first, back = (force_from_image, modulus_from_image)[:: 1 if found == "force" else -1]
     estimate = first(EGG, 0.8, **settings)
     low, high = estimate.model_interval
     assert low < estimate.interval[0] < getattr(estimate, found) < estimate.interval[1] < high
-    # Without what the outline leaves open, which is the same for all models.
+    # Without the uncertainty of the outline, which is the same for all models.
     widen = np.sqrt(np.divide(*estimate.interval[::-1]))
     assert np.log(widen) == pytest.approx(1.959964 * estimate.relative_std)
     for end in (low * widen, high / widen):
@@ -181,7 +181,7 @@ def test_ends_of_model_interval_are_values_of_models(found):
 
 @pytest.mark.parametrize("rim", ["left", "right"])
 def test_dimple_covariance_matches_scatter_of_curves(rim):
-    """Of coefficients that are drawn."""
+    """The coefficients of the curves are drawn with the stated covariance."""
     rng = np.random.default_rng(3)
     root = rng.normal(0.0, 0.01, (9, 9))
     truth = dimple_geometry(
@@ -212,7 +212,7 @@ def test_dimple_covariance_matches_scatter_of_curves(rim):
     ids=["sum", "dimple", "outline", "estimate"],
 )  # fmt: skip
 def test_results_do_not_depend_on_earlier_use(make, uses):
-    """In either order, and after what was refused; the image is the caller's."""
+    """In either order, also after a rejected call; the caller's image is not changed."""
     image = EGG.copy()
     for before in (uses, uses[::-1]):
         hold_same_as_new(make, before[0], *before[1:], *before[:1])

@@ -11,9 +11,9 @@ COUNT, SHAPE = 12, (48, 56)
 
 @pytest.fixture(scope="session")
 def stack():
-    """Return twelve frames at the positions 0 to 11 of a plane near the sixth."""
+    """Return twelve frames, at positions 0 to 11, of a tilted plane near position 5.3."""
     texture = synthetic.mixed_texture(SHAPE, np.random.default_rng(0))
     height = 5.3 + tilted_plane(SHAPE, 0.05, 0.02)
     frames = synthetic.focal_stack(texture, height, np.arange(float(COUNT)), blur_rate=1.0)
-    frames.flags.writeable = False  # every test gets the same ones
+    frames.flags.writeable = False  # all tests share them
     return frames

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 GREY = {"photometric": "minisblack"}
-#: Name and options of tifffile for a stack with its axis in the metadata of each kind.
+#: File name and options of tifffile for each kind of metadata that names the axes.
 TIFFS: dict[str, tuple[str, dict]] = {
     "ImageJ": ("a.tif", {"imagej": True}),
     "OME": ("a.ome.tif", GREY),
@@ -21,7 +21,7 @@ TIFFS: dict[str, tuple[str, dict]] = {
 
 
 class Lazy:
-    """What zarr and dask arrays have in common; counts what is loaded."""
+    """The common interface of zarr and dask arrays; records which frames are loaded."""
 
     def __init__(self, values: NDArray) -> None:
         self._values = values
@@ -34,7 +34,7 @@ class Lazy:
 
 
 def one_buffer(frames: NDArray) -> Iterator[NDArray]:
-    """Yield frames as a camera may, each over the one before."""
+    """Yield all frames in one buffer, as some cameras do: each overwrites the one before."""
     buffer = np.empty_like(frames[0])
     for frame in frames:
         buffer[:] = frame
@@ -57,7 +57,7 @@ def picture(path: Path, image: NDArray) -> Path:
 
 
 def pictures(folder: Path, frames: NDArray) -> Path:
-    """Write a PNG for each frame, beside files that are none; 2 comes before 10."""
+    """Write a PNG for each frame, its number without leading zeros, and two other files."""
     folder.mkdir()
     for k, frame in enumerate(frames):
         picture(folder / f"frame {k}.png", frame)
@@ -99,7 +99,7 @@ def overwrite_tags(path: Path, **values: int) -> Path:
 
 
 def packed(path: Path, frames: NDArray[np.uint16], bits: int) -> Path:
-    """Write frames as cameras do that put three bytes where two numbers of 12 bits are."""
+    """Write grey levels without padding: two of 12 bits take three bytes, as in some cameras."""
     count, rows, columns = frames.shape
     octets = frames.astype(">u2").view(np.uint8).reshape(count, rows, columns, 2)
     numbers = np.unpackbits(octets, axis=3)[..., -bits:]
@@ -132,7 +132,7 @@ def set_of_ome(folder: Path, frames: NDArray) -> Path:
 
 
 def ome_zarr(path: Path, frames: NDArray, version: str, axes: str = "tczyx") -> Path:
-    """Write an image in two sizes with the layout of the standard, without a package for it."""
+    """Write an image at two resolutions in the layout of OME-Zarr, without a package for it."""
     zarr = pytest.importorskip("zarr")
     group = zarr.open_group(str(path), mode="w", zarr_format=2 if version == "0.4" else 3)
     units = {"x": "nanometer", "y": "micrometer", "z": "micrometer"}

@@ -1,4 +1,4 @@
-"""Sources that cannot be read as frames are rejected by file, page and fault; none in silence."""
+"""Sources that cannot be read as frames raise an error with the file, the page and the fault."""
 
 import importlib.util
 import struct
@@ -29,7 +29,7 @@ def scan(folder: Path, frames: NDArray) -> Path:
 
 
 def fewer_described(folder: Path, frames: NDArray) -> Path:
-    """Append to an ImageJ file what belongs to the stack or not: the file must say."""
+    """Write an ImageJ file of five pages whose metadata describe three."""
     described = (path := make.tiff_of("ImageJ", folder, frames[:5])).read_bytes()
     assert described.count(b"images=5") == described.count(b"slices=5") == 1
     return make.content(path, described.replace(b"es=5", b"es=3"))
@@ -66,8 +66,8 @@ def holed(frame: NDArray) -> NDArray:
 
 NO_IMAGE = r"a\.png: damaged, too large or of an unknown format"
 AXIS = "must come along the first axis, got shape"
-#: Words of an error, and what is written into a folder or given. A list of one file is a picture,
-#: which `read_grey` rejects in the same words.
+#: Words of the error, and a function that returns the source. A list of one path is a picture,
+#: which `read_grey` must reject in the same words.
 REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     # TIFF.
     (r"holds 2 series of images \(QYX \(12, 48, 56\), YX",
@@ -115,7 +115,7 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
 @pytest.mark.parametrize(("words", "write"), REJECTED)
 def test_unreadable_source_is_rejected_by_name_page_and_fault(stack, tmp_path, words, write):
     if "imagecodecs" in words and importlib.util.find_spec("imagecodecs"):
-        pytest.skip("it decodes JPEG 2000")
+        pytest.skip("imagecodecs is installed and decodes JPEG 2000")
     source = write(tmp_path, stack)
     rejects(source, words)
     if isinstance(source, list) and isinstance(source[0], Path):
@@ -149,7 +149,7 @@ def test_truncated_file_is_rejected(stack, tmp_path, name, write, share):
 )
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_tiff_cut_off_after_any_page_is_rejected(stack, tmp_path, kind, dtype, compression):
-    """Also within a page of several strips."""
+    """Each page has three strips, so that the file can also end within a page."""
     frames, how = stack[:5].astype(dtype), {"compression": compression, "rowsperstrip": 20}
     if kind == "pages":
         path = make.pages(tmp_path / "a.tif", frames, **how)
@@ -187,7 +187,7 @@ def test_imagej_file_with_one_directory_is_rejected_when_cut_off(stack, tmp_path
 @pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "jpeg", "tiff_deflate"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_page_with_zeroed_data_is_rejected(tmp_path, compression, share):
-    """As after a lost connection. LZW and PackBits have no checksum: the values end too early."""
+    """A lost connection can leave zeros. LZW and PackBits have no checksum, but data is missing."""
     smooth = np.add.outer(np.arange(96), 2 * np.arange(80)).astype(np.uint8)
     path = make.by_pillow(tmp_path / "a.tif", np.stack([smooth] * 3), compression=compression)
     assert len(list(read_frames(path))) == 3

@@ -64,7 +64,7 @@ def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dt
     assert image["Name"] == "heights"
     assert pixels["PhysicalSizeX"] == pixels["PhysicalSizeY"] == pytest.approx(0.65)
     assert pixels["PhysicalSizeXUnit"] == "µm"
-    if dtype is not np.float64:  # whose NaN are no picture
+    if dtype is not np.float64:  # frames with NaN are rejected
         assert io.read_frames(path).pixel_size == pytest.approx(0.65)
 
 
@@ -74,9 +74,9 @@ def test_file_is_replaced_when_the_new_one_is_complete(tmp_path, monkeypatch, fa
     path.write_text("old")
 
     def write(file: Path, *_: object, **__: object) -> None:
-        assert file.parent == tmp_path  # on the same disk, or the move would be a copy
-        assert file.suffix == ".tif"  # by which writers choose the format
-        assert file.name.startswith(".")  # which a reader's *.tif does not find
+        assert file.parent == tmp_path  # on the same disk, so that the file is moved, not copied
+        assert file.suffix == ".tif"  # writers choose the format by it
+        assert file.name.startswith(".")  # *.tif does not match it
         file.write_text("new")
         assert path.read_text() == "old"
         if fault:
@@ -92,7 +92,7 @@ def test_file_is_replaced_when_the_new_one_is_complete(tmp_path, monkeypatch, fa
             io.write_height_tiff(wrong, np.ones((2, 3)), pixel_size=1.0)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="of POSIX")
+@pytest.mark.skipif(os.name == "nt", reason="modes and umask are of POSIX")
 def test_replacing_a_file_keeps_mode_and_symlink(tmp_path):
     (tmp_path / "disk").mkdir()
     real, link = tmp_path / "disk" / "a.ply", tmp_path / "a.ply"

@@ -1,4 +1,4 @@
-"""Frames in xarray.DataArray: order of dimensions, coordinates as scale, and their return."""
+"""Frames in an xarray.DataArray: order of dimensions, and coordinates in frames and results."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def stack():
 
 @pytest.fixture
 def labeled(stack):
-    """Return what labels the stack in a unit of length."""
+    """Return a function that gives the stack coordinates in a unit of length."""
     xarray = pytest.importorskip("xarray")
 
     def label(unit="µm", per_um=1.0):
@@ -75,8 +75,8 @@ def test_channel_and_time_select_labeled_frames(stack, labeled):
     np.testing.assert_allclose(np.stack(list(reader)), stack + 1.0, rtol=1e-6)
 
 
-def test_unusable_coordinates_are_no_scale(labeled):
-    """Pixels that are not square, numbers of pixels, another unit and times."""
+def test_unusable_coordinates_give_no_scale(labeled):
+    """Coordinates of pixels that are not square, pixel numbers, volts, and times."""
     wide = labeled().assign_coords(x=("x", 2.1 * np.arange(80), {"units": "µm"}))
     with pytest.warns(UserWarning, match="pixels of 2.1×2 µm, which are not square"):
         assert read_frames(wide).pixel_size is None

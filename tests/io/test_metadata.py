@@ -52,10 +52,10 @@ OWN_UNITS = {"unit": "nm", "yunit": "um"}
             ("Micrometer", 1), ("mm", 1e3), ("cm", 1e4),
         )),
         *(({"unit": unit}, None, None) for unit in ("pixel", "PIXELS", "furlong", "", "inch")),
-        # A spacing is a length.
+        # The sign of a spacing is ignored; zero or text gives no positions.
         ({"unit": "um", "spacing": -10}, 1, 10), ({"unit": "um", "spacing": 0}, 1, None),
         ({"unit": "um", "spacing": "two"}, 1, None),
-        # Axes with units of their own; x is given a thousand times finer.
+        # Each axis has its own unit: a pixel is 1000 nm in x and 1 µm in y.
         *((OWN_UNITS | {"zunit": unit}, 1, step) for unit, step in (
             ("um", 10), ("mm", 1e4), ("nm", 0.01), ("sec", None),
         )),
@@ -75,13 +75,13 @@ def test_imagej_sizes_are_converted_to_micrometers(tmp_path, about, size, step):
     ("resolution", "unit", "size"),
     [
         ((4000, 4000), "CENTIMETER", 2.5),
-        ((4000, 4003), "CENTIMETER", 2.5),  # one in a thousand apart is square still
+        ((4000, 4003), "CENTIMETER", 2.5),  # a difference of 0.08 % counts as square
         ((4000, 4010), "CENTIMETER", "not square"),
         ((4010, 4000), "CENTIMETER", "not square"),
         ((0, 0), "CENTIMETER", None),
         # 72, 300 and 1200 dots per inch.
         *(((dots / 2.54, dots / 2.54), "CENTIMETER", None) for dots in (72, 300, 1200)),
-        # A resolution in inches is a printer's, which software writes unasked.
+        # Resolutions in inches are meant for printers; software writes them by default.
         ((100, 100), "INCH", None),
         ((100, 100), "NONE", None),
     ],
@@ -102,17 +102,17 @@ def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolutio
 @pytest.mark.parametrize(
     ("positions", "unit", "spacing", "used", "which"),
     [
-        ([5, 5.01, 5.02], None, 10, [0, 10, 20], "latter"),  # of a microscope that counts in mm
+        ([5, 5.01, 5.02], None, 10, [0, 10, 20], "latter"),  # mm, but the file does not say so
         ([5, 5.01, 5.02], "reference frame", 10, [0, 10, 20], "latter"),
         ([5, 15, 25], None, 10, [0, 10, 20], None),
         ([0.005, 0.015, 0.025], "mm", 10, [5, 15, 25], None),
-        ([5, 15.3, 25.6], "µm", 10, [5, 15.3, 25.6], None),  # as measured
+        ([5, 15.3, 25.6], "µm", 10, [5, 15.3, 25.6], None),  # near the spacing
         ([5, 12, 19], "µm", 10, [5, 12, 19], "former"),
         ([5, -5, -15], "µm", 10, [5, -5, -15], None),
         ([0.1, 0.2, 0.4], "mm", 150, [100, 200, 400], None),
         ([0.4, 0.2, 0.1], "mm", 150, [400, 200, 100], None),
         ([5, 12, 19], "µm", None, [5, 12, 19], None),
-        ([5, 12, 19], None, None, None, None),  # in whatever unit
+        ([5, 12, 19], None, None, None, None),  # without a unit
         # Positions that are not monotonic.
         *((z, "µm", 9, [0, 9, 18], None) for z in ([1, 4, 2], [1, 1, 2], [1, float("nan"), 2])),
     ],

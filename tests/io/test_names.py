@@ -13,7 +13,7 @@ SHAPE = (12, 15)
 
 
 def write(folder: Path, names: list[str]) -> Path:
-    """Write frames whose grey level is their number in the list, in another order."""
+    """Write frames in random order; the grey level of each is its number in the list."""
     for k in np.random.default_rng(0).permutation(len(names)):
         cv2.imwrite(str(folder / f"{names[k]}.png"), np.full(SHAPE, k, np.uint8))
     return folder
@@ -25,7 +25,7 @@ def read(source: Path | str) -> list[int]:
 
 ORDERS = {
     "signs": [f"z{k:+d}" for k in range(-40, 50, 10)],
-    "minus and nothing": [f"z{k}" for k in range(-4, 5)],
+    "minus or no sign": [f"z{k}" for k in range(-4, 5)],
     "uneven signs": ["z-40", "z-10", "z5", "z70"],
     "powers of ten": ["z1e-02", "z1e-01", "z1e+00", "z1e+01"],
     "up to zero": [f"z_{k}" for k in range(-40, 10, 10)],
@@ -56,12 +56,12 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
 
 
 def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
-    """Forty random stacks, whose names have signs, decimals, zeros in front or none of them."""
+    """Forty random stacks, whose names have signs, decimals, leading zeros or none."""
     rng = np.random.default_rng(3)
     forms = ("scan_{:05.0f}", "IMG{:.0f}", "2 µm, z{:.1f} µm", "a7_{:+.0f}")
     for case in range(40):
         count, step = rng.integers(3, 14), rng.choice([1, 2, 5, 10, 25])
-        # A hyphen before all of them is not a sign.
+        # A hyphen before all numbers would not be a sign, so the last number is not negative.
         first = -step * rng.integers(0, count) if case % 4 == 3 else rng.integers(0, 200)
         numbers = (first + step * np.arange(count)) / (10 if case % 4 == 2 else 1)
         folder = tmp_path / str(case)
@@ -73,17 +73,17 @@ def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        # Two orders: versions or decimals, two axes, a counter, a counter beside times.
+        # Two orders are possible: versions or decimals, two axes, a counter that may start again.
         (["v1.2", "v1.10", "v1.13", "v1.4"], r"v1\.2\.png, v1\.4.* or v1\.10\.png, v1\.13"),
         (
             [f"c{c}_z{z}" for c in range(2) for z in range(4)],
             r"c0_z0\.png, c0_z1.* or c0_z0\.png, c1_z0",
         ),
         ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
-        # The minus of depths, or a line between words.
+        # The hyphen may be a minus sign; either of two numbers may give the order.
         (["z_-3", "z_-4", "z_-5"], r"z_-3\.png, z_-4.* or z_-5\.png, z_-4"),
         (["31_3", "44_1", "58_2", "97_0"], r"31_3\.png, 44_1\.png.* or 97_0\.png, 44_1"),
-        # Two stacks, or another picture beside a stack.
+        # Names that differ in more than numbers, or a number that occurs twice.
         (["a1", "a2", "a3", "b1", "b2", "b3"], r"only in numbers, got a1\.png and b1"),
         (["pcb_1", "pcb_2", "pcb_3", "expected"], r"got pcb_1\.png and expected"),
         (["i1", "i2", "i3", "i1 (1)", "i2 (1)"], r"got i1 \(1\)\.png and i1\.png"),
@@ -123,7 +123,7 @@ def test_frame_in_two_formats_is_rejected(tmp_path):
 
 @pytest.mark.parametrize("turn", [3, 6])
 def test_changing_exif_orientation_is_ignored(tmp_path, turn):
-    """The sensor of orientation flips under a camera that looks down; the pixels do not."""
+    """A camera that looks down may change the tag between frames, though it is not turned."""
     ramp = np.tile(np.arange(100, 200, 2, dtype=np.uint8), (40, 1))
     for k in range(4):
         exif = Image.Exif()

@@ -20,7 +20,7 @@ Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
 
 
 class Labeled:
-    """What an xarray.DataArray has, for places where that is not installed."""
+    """A stand-in for xarray.DataArray, which may not be installed."""
 
     dims = ("z", "y", "x")
 
@@ -34,7 +34,7 @@ class Labeled:
 
 
 def labeled(u) -> Labeled:
-    """Return frames whose grey levels are their place: 3 a column and 1 a row."""
+    """Return frames whose grey level rises by 3 a column and 1 a row, and thus shows the place."""
     row, column = np.indices(SHAPE)
     frames = np.stack([(3 * column + row) * u.grey + u.grey0] * len(Z))
     y, x = (start + 2.6 * np.arange(n) * u.um for start, n in ((u.y0_um, 29), (u.x0_um, 41)))
@@ -48,7 +48,7 @@ def reading(**options) -> dict:
 
 
 def written(height: np.ndarray, pixel_size: float) -> dict:
-    """Return what others read in the files: px per cm, values, vertices."""
+    """Return what other readers find in the files: pixel size, values, grey levels, mesh."""
     with tempfile.TemporaryDirectory() as folder:
         write_height_tiff(file := Path(folder) / "h.tif", height, pixel_size=pixel_size)
         with tifffile.TiffFile(file) as tiff:
@@ -94,7 +94,7 @@ UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0
 @pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
 def test_reader_origin_follows_region_and_reduce(region, reduce):
-    """The grey level is the place, also of the means of blocks, of a reader and of a depth."""
+    """The grey level shows the position of a pixel, also where a pixel is the mean of a block."""
     for source in (labeled(UNITS), read_frames(labeled(UNITS))):
         reader = read_frames(source, region=region, reduce=reduce)
         row, column = np.indices(reader.shape)
@@ -106,14 +106,13 @@ def test_reader_origin_follows_region_and_reduce(region, reduce):
 
 
 def test_depth_origin_follows_region_and_reduce():
-    """In a shift of the part by whole blocks, the depth is the same one, at another place."""
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
     y, x = (start + 2.6 * np.arange(n) for n, start in ((80, -5.0), (96, 12.0)))
     frames = Labeled(stack, 7.0 + Z, y, x)
     found = depth_from_focus(frames, region=(6, 4, 80, 70), reduce=2)
     assert found.pixel_size == pytest.approx(5.2)
-    # The middle of the first block of two.
+    # The center of the first block, which is columns 6 and 7, rows 4 and 5.
     assert found.origin == pytest.approx((12.0 + 6.5 * 2.6, -5.0 + 4.5 * 2.6))
     assert np.nanmedian(found.depth) == pytest.approx(28.0, abs=1.0)
 
@@ -122,5 +121,5 @@ def test_origin_follows_a_pixel_size_that_is_set_later():
     stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
     found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
     assert found.origin == (0.0, 0.0)
-    # The middle of the first block is half a pixel of the frame beside its first one.
+    # The center of the first block, in pixels of the frame, which are 1.3 µm.
     assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))

@@ -1,4 +1,4 @@
-"""A reader can be read again, in parts and by another reader; films and folders with surprises."""
+"""Readers that are read again, in parts or by another reader; videos; folders with other files."""
 
 import re
 import warnings
@@ -21,7 +21,7 @@ def read_stack(source: object, **options: bool | int) -> NDArray:
 
 
 def write_film(path: Path, code: str, frames: NDArray, times: int = 1) -> Path:
-    """Write a film, so many times into one file, whose header describes the first."""
+    """Write a video `times` times into one file; the header describes the first only."""
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (56, 48))
     if not film.isOpened():
         pytest.skip(f"OpenCV writes no {code} here")
@@ -35,7 +35,7 @@ def write_film(path: Path, code: str, frames: NDArray, times: int = 1) -> Path:
 def test_lazy_frames_are_loaded_one_by_one(stack):
     lazy = Lazy(stack)
     frames = iter(read_frames(lazy))
-    assert lazy.loaded == [0]  # for shape and type
+    assert lazy.loaded == [0]  # shape and type come from the first frame
     next(frames)
     next(frames)
     assert lazy.loaded == [0, 1]
@@ -49,7 +49,7 @@ def test_video_with_fewer_frames_than_its_header_is_rejected(stack, tmp_path, mo
         return SimpleNamespace(
             isOpened=lambda: True,
             release=lambda: None,
-            get=lambda which: 4.0,  # frames by the header; three can be read
+            get=lambda which: 4.0,  # the header's number of frames; three can be read
             read=lambda: left.pop() if left else (False, None),
         )
 
@@ -71,7 +71,7 @@ def test_video_with_fewer_frames_than_its_header_is_rejected(stack, tmp_path, mo
 def test_video_is_read_and_more_frames_than_in_its_header_give_a_warning(
     stack, tmp_path, name, code, times
 ):
-    """Where a film has no list of them, their number is not known before they were read."""
+    """Formats without an index have an unknown number of frames until all were read."""
     path, count = write_film(tmp_path / name, code, stack, times), times * COUNT
     reader = read_frames(path)
     with warnings.catch_warnings(record=True) as caught:
@@ -79,7 +79,7 @@ def test_video_is_read_and_more_frames_than_in_its_header_give_a_warning(
         found = read_stack(reader).astype(float)
     assert (reader.shape, reader.color) == ((48, 56), True)
     assert reader.count == (COUNT if name == "a.avi" else None)
-    assert np.abs(found - np.concatenate([stack] * times)).mean() < 10  # compressed
+    assert np.abs(found - np.concatenate([stack] * times)).mean() < 10  # lossy compression
     if name == "a.avi" and times == 1:
         assert not caught
     else:
@@ -134,7 +134,7 @@ def test_reader_can_be_used_after_a_rejected_call(stack):
 
 
 def test_region_and_reduce_must_fit_the_frame(stack):
-    """Of a frame that is no square, up to its edges and not beyond."""
+    """The frame is not square; a region may reach its edges but not cross them."""
     rows, columns = stack.shape[1:]
     last = read_frames(stack, region=(columns - 2, rows - 1, 2, 1))
     np.testing.assert_array_equal(next(iter(last)), stack[0, -1:, -2:])
@@ -152,7 +152,7 @@ def test_lists_can_be_empty_or_have_narrow_images():
     assert read_frames(list(np.zeros((99, 99, 5), np.uint8))).shape == (99, 5)
 
 
-def test_folder_with_one_file_is_that_file(stack, tmp_path):
+def test_folder_with_one_file_is_read_as_that_file(stack, tmp_path):
     how = {"imagej": True, "resolution": (0.8, 0.8), "metadata": {"axes": "ZYX", "unit": "um"}}
     tiff(tmp_path / "scan.tif", stack, **how)
     (tmp_path / "notes.txt").write_text("25 µm")
@@ -170,4 +170,5 @@ def test_results_in_the_folder_of_frames_are_left_out(stack, tmp_path):
     with pytest.warns(UserWarning, match=r"height\.ome\.tif, sharp\.tif: results, left out"):
         np.testing.assert_array_equal(read_stack(folder), stack)
     (folder / "height.ome.tif").unlink()
-    assert read_frames(folder / "*.tif").count == 1  # those alone are what is asked for
+    # The pattern matches nothing but results, so they are what the user wants.
+    assert read_frames(folder / "*.tif").count == 1

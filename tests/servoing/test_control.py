@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from microlib import servoing
 
 INTERVAL = 1 / 33
-#: px/µm at 1X: magnification over cell (Table 5.1), and the weights of §5.4 turned from mm to µm.
+#: px/µm at 1X: magnification over pixel size (Table 5.1); the weights of §5.4, from mm to µm.
 JACOBIAN = 1.5893 / 9.9 * np.eye(2)
 WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
 
@@ -46,7 +46,7 @@ def test_optimal_control_minimizes_the_one_step_cost(seed):
     given = {"interval": interval, "feature_weight": q, "control_weight": weight}
     ours = servoing.optimal_control(jacobian, feature, target, **given)
     theirs = minimize(cost, np.zeros(n), method="BFGS", options={"gtol": 1e-9})
-    # The minimizer stops where its numerical gradient drowns in rounding, about 1e-8·cost away.
+    # The minimizer stops where rounding dominates its numerical gradient, about 1e-8·cost away.
     assert cost(ours) <= theirs.fun + 1e-9 * abs(theirs.fun)
     np.testing.assert_allclose(ours, theirs.x, atol=1e-4 * (1 + np.abs(theirs.x).max()))
 
@@ -68,7 +68,7 @@ def test_loop_with_one_sample_of_delay_is_stable_below_gain_one():
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.0, 1.4, 2.0])
 @pytest.mark.parametrize("gain", [0.3, 0.7])
 def test_simulated_loop_decays_as_its_poles(gain, delay):
-    weight = (INTERVAL * JACOBIAN[0, 0]) ** 2 * (1 / gain - 1)  # the L that makes this loop gain
+    weight = (INTERVAL * JACOBIAN[0, 0]) ** 2 * (1 / gain - 1)  # L for this loop gain
     controller = servoing.OptimalController(
         JACOBIAN, interval=INTERVAL, feature_weight=(1.0, 1.0), control_weight=(weight, weight)
     )
@@ -78,7 +78,7 @@ def test_simulated_loop_decays_as_its_poles(gain, delay):
     error = run.feature[:, 0]
 
     def remainder(poles):
-        """What the recurrence with these poles leaves of the simulated error."""
+        """Return the largest residual of the simulated error in the recurrence with these poles."""
         return np.abs(np.convolve(error, np.poly(poles).real, mode="valid")).max()
 
     # A linear recurrence annihilates its own solutions, up to rounding.
@@ -95,11 +95,11 @@ def loop(controller, reference, saturation=400.0, jitter=0.0, seed=0, **options)
     return servoing.simulate(controller, reference, **run)
 
 
-def plain():
+def optimal():
     return servoing.OptimalController(JACOBIAN, interval=INTERVAL, **WEIGHTS)
 
 
-def knowing(saturation=400.0, delay=0.8 * INTERVAL):
+def predictive(saturation=400.0, delay=0.8 * INTERVAL):
     given = {"interval": INTERVAL, "delay": delay, "saturation": saturation}
     return servoing.PredictiveController(JACOBIAN, **given, **WEIGHTS)
 
@@ -107,37 +107,36 @@ def knowing(saturation=400.0, delay=0.8 * INTERVAL):
 def test_predictive_controller_removes_ringing_under_delay():
     rings, calm = (
         loop(one, np.full((80, 2), 50.0), saturation=1e4, start=(0, 0))
-        for one in (plain(), knowing(1e4))
+        for one in (optimal(), predictive(1e4))
     )
     assert servoing.step_metrics(rings.time, rings.feature, (50, 50)).overshoot > 0.5
     calmed = servoing.step_metrics(calm.time, calm.feature, (50, 50))
-    # Increments of 50 nm are 0.008 px of 50; the rest of the gain, 1 ‰ of a step.
+    # Increments of 50 nm are 0.008 px of 50 px; the control weight leaves 1 to 2 ‰ of the step.
     assert calmed.overshoot < 0.005
     assert calmed.settling_time == pytest.approx(2 * INTERVAL)
 
 
 def test_lost_frame_stops_optimal_and_is_bridged_by_predictive_controller():
     reference, lost = np.full((4, 2), 30.0), np.full(2, np.nan)
-    assert not plain()(1, lost, reference).any()
-    ahead = np.outer(np.arange(4.0), [1.0, -2.0])  # what is wanted one sample later
+    assert not optimal()(1, lost, reference).any()
+    ahead = np.outer(np.arange(4.0), [1.0, -2.0])  # the reference of the next samples
     for k, wanted in enumerate(ahead[[1, 2, 3, 3]]):
-        np.testing.assert_allclose(plain()(k, np.zeros(2), ahead), plain().gain @ wanted)
-    bridging = knowing(delay=0)
+        np.testing.assert_allclose(optimal()(k, np.zeros(2), ahead), optimal().gain @ wanted)
+    bridging = predictive(delay=0)
     assert not bridging(0, lost, reference).any()
     bridging(1, np.zeros(2), reference)
     assert (bridging(2, lost, reference) > 0).all()
 
 
 def test_second_run_equals_that_of_a_new_controller():
-    used, reference = knowing(delay=1.5 * INTERVAL), np.full((30, 2), 5.0)
+    used, reference = predictive(delay=1.5 * INTERVAL), np.full((30, 2), 5.0)
     loop(used, np.full((30, 2), 300.0), start=(0, 0))
-    runs = [loop(one, reference, start=(0, 0)) for one in (used, knowing(delay=1.5 * INTERVAL))]
+    runs = [loop(one, reference, start=(0, 0)) for one in (used, predictive(delay=1.5 * INTERVAL))]
     np.testing.assert_allclose(runs[0].feature, runs[1].feature, atol=1e-9)
 
 
 def test_predictive_controller_accepts_several_points():
-    """Three points that move alike are one point three times: the same command, whatever the
-    delay."""
+    """Three points that move alike give the command of one point of three times the weight."""
     for delay in (0.0, 0.8, 1.7):
         options = {"interval": INTERVAL, "delay": delay * INTERVAL, "saturation": 300.0}
         options["control_weight"] = (1e-6, 1e-6)
@@ -163,7 +162,7 @@ def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
     run = shaken(4)
     np.testing.assert_array_equal(run.measured, shaken(np.random.default_rng(4)).measured)
     assert not run.feature.any()
-    # 2,000 numbers an axis know a standard deviation to 1.6 %; three times that.
+    # 2000 numbers per axis determine a standard deviation to 1.6 %; three times that is allowed.
     np.testing.assert_allclose(run.measured.std(axis=0), 0.3, rtol=0.05)
     np.testing.assert_allclose(run.time[[0, 1, -1]], [0.0, 0.5, 999.5])
 
@@ -176,7 +175,7 @@ def test_command_that_is_not_finite_is_rejected():
 @pytest.mark.parametrize("predicts", [False, True])
 def test_runs_simulated_at_once_equal_those_simulated_alone(predicts):
     """With a delay of more than a frame, and frames in which the feature is lost."""
-    law = knowing(delay=1.4 * INTERVAL) if predicts else plain()
+    law = predictive(delay=1.4 * INTERVAL) if predicts else optimal()
     path = np.cumsum(np.random.default_rng(1).normal(0, 2, (40, 2)), axis=0)
     matrices = JACOBIAN * np.array([0.9, 1.0, 1.2])[:, None, None]
     starts = path[0] + [[3.0, 0.0], [0.0, 0.0], [-40.0, 9.0]]

@@ -25,7 +25,8 @@ NOISE = np.random.default_rng(0).integers(0, 255, SHAPE, dtype=np.uint8)
 AT_HOME, _ = make_scope(0).workstation.camera.snap()
 BROKEN = r"^OSError: busy$"
 OFF = r"^(calibration rejected|the image does not follow|lost|the stage is beyond)"
-#: The method that fails, what it does instead, given the method and its arguments, and the reason.
+#: The method that fails, its replacement, which is called with the method and its arguments, and
+#: the reason that the run states.
 FAULTS = {
     "snap error": ("camera.snap", fail, BROKEN),
     "move error": ("stage.move_to", fail, BROKEN),
@@ -55,11 +56,11 @@ FAULTS = {
 
 
 def run_with(method, instead, first):
-    """Go to a target, with a method that does something else from a frame on.
+    """Go to a target, with a method that is replaced from frame `first` on.
 
-    Returns the run, and the farthest that the stage was from its start over the travel.
+    Returns the run, the microscope, and the largest distance of the stage relative to the travel.
     """
-    # Slow enough that moves take time, which an interrupt can come in.
+    # The stage is slow, so that an interrupt can arrive during a move.
     scope = make_scope(0, stage=Stage(saturation=1000.0))
     tracker, stage, camera = scope.tracker(), scope.workstation.stage, scope.workstation.camera
     progress = SimpleNamespace(call=lambda row: None)
@@ -75,7 +76,7 @@ def run_with(method, instead, first):
     snap, moving = camera.snap, stage.moving
     camera.snap = lambda: (frames.append(1), snap())[1]
     stage.moving = lambda: (ways.extend(np.abs(position())), moving())[1]
-    step = 10.0 / scope.scale  # so that the faults on the way come before the target
+    step = 10.0 / scope.scale  # short, so that faults occur before the target is reached
     given = {"travel": travel, "test_move": step, "step": step, "timeout": 1.0}
     targets = scope.home + np.array([-35.0, 30.0])
     try:
@@ -84,7 +85,7 @@ def run_with(method, instead, first):
         )
     except KeyboardInterrupt as interrupt:
         run = interrupt.run
-    else:  # who called must not go on
+    else:  # Ctrl-C must reach the caller
         assert instead is not press_ctrl_c
     setattr(owner, name, call)
     return run, scope, max(ways) / travel
@@ -123,7 +124,7 @@ def test_stop_is_tried_three_times(failures):
 def test_targets_are_reached_under_rotation_reflection_and_scale():
     runs = [reach(seed) for seed in range(100, 106)]
     assert all(run["reached"] for run in runs)
-    # The tolerance of 0.05 px and what the tracker is wrong.
+    # The tolerance of 0.05 px plus the error of the tracker.
     assert max(run["error"] for run in runs) <= 0.12
     assert np.mean([run["error"] for run in runs]) <= 0.05
     assert max(run["steps"] for run in runs) <= 3

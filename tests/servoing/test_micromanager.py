@@ -1,4 +1,4 @@
-"""The adapter for Micro-Manager against a core that keeps account of its calls."""
+"""The adapter for Micro-Manager against a core that records its calls."""
 
 from typing import Any
 

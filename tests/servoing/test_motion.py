@@ -46,16 +46,17 @@ def test_jacobian_covariance_matches_scatter_of_repeated_calibrations(excess):
     rng = np.random.default_rng(1)
     every = [calibrate(rng, excess=excess) for _ in range(300)]
     errors = np.array([np.append(run.jacobian - JACOBIAN, run.drift - DRIFT) for run in every])
-    # χ² of 10 degrees of freedom over 10 has the mean 1 and the deviation 0.45; the floor of 1e-3
-    # px and 300 draws leave 3 %.
+    # χ² of 10 degrees of freedom, divided by 10, has the mean 1 and the standard deviation 0.45.
+    # The mean of 300 runs is known to 2.6 %; the library's floor of 1e-3 px lowers it by 0.3 %.
     assert np.mean([run.misfit for run in every]) == pytest.approx(excess, rel=0.08)
-    # And a mean to a seventeenth of the deviation of one: more than three of those.
+    # The mean of 300 errors scatters by a seventeenth of their deviation; 0.2 is more than three
+    # of those.
     assert (np.abs(np.mean(errors, axis=0)) < 0.2 * np.std(errors, axis=0)).all()
     stated = np.mean([run.jacobian_covariance for run in every], axis=0)
     values = np.linalg.eigvals(np.linalg.solve(np.cov(errors[:, :4].T), stated)).real
-    # 300 draws know a variance to 8 %. A misfit below 1 does not reduce the covariance. Where the
-    # tracks explain the scatter, enlarging it whenever χ² is above its mean makes the covariance a
-    # fifth too large, never too small.
+    # 300 runs determine a variance to 8 %. A misfit below 1 does not reduce the covariance. Where
+    # the tracks explain the scatter, enlarging it whenever χ² is above its mean makes the
+    # covariance a fifth too large, never too small.
     values *= min(excess, 1.0)
     assert values.min() > 0.8
     assert values.max() < 1.1 * (1.35 if excess == 1.0 else 1.25)
@@ -71,7 +72,7 @@ def test_calibration_is_rejected_if_an_axis_never_moved():
     assert run.reason.startswith("calibration rejected")
 
 
-def test_calibration_is_rejected_beyond_three_deviations_of_half_the_least_singular_value():
+def test_calibration_is_rejected_if_three_deviations_exceed_half_the_least_singular_value():
     rejected = []
     for noise in np.linspace(1.0, 3.0, 40):  # px
         run = calibrate(np.random.default_rng(6), covariance=noise**2 * np.eye(2))

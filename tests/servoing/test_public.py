@@ -1,4 +1,4 @@
-"""The laws of every public name of servoing."""
+"""The laws of every public name of `microlib.servoing`."""
 
 from types import SimpleNamespace
 
@@ -9,10 +9,10 @@ from microlib import servoing
 from tests.laws import GOES_ON, NUMBER, SAME, VIEWS, Row, TestedBy, Units, laws_of, px, s, um
 from tests.servoing import test_micromanager
 
-#: px/µm of a camera that is turned, mirrored, and has cells that are not square.
+#: px/µm of a camera that is turned and mirrored and whose pixels are not square.
 J = np.array([[0.08, -0.31], [-0.24, -0.11]])
 Q, L = np.array([[0.9, 0.2], [0.2, 1.4]]), np.array([[3e-6, -1e-6], [-1e-6, 8e-6]])
-#: Of a way to 30 px right and 20 px up, and of the answer to it, which goes beyond.
+#: A step of 30 px right and 20 px up, and a response to it that overshoots.
 STEP = np.array([30.0, -20.0])
 ANSWER = 1 - np.exp(-np.arange(25.0) / 4) * np.cos(np.arange(25.0) / 2)
 PATH = np.cumsum(np.random.default_rng(3).normal([1.0, -0.6], 0.8, (30, 2)), axis=0)
@@ -75,7 +75,7 @@ def begun(u) -> servoing.SimulatedWorkstation:
 
 
 def driven(u, workstation) -> tuple:
-    """Return what a workstation answers on its way."""
+    """Return what a workstation reports during a move."""
     stage, clock = workstation.stage, workstation.clock
     stage.move_to(stage.position() + np.array([50.0, -20.0]) * u.um)
     clock.sleep(0.1 * u.s)
@@ -84,7 +84,7 @@ def driven(u, workstation) -> tuple:
 
 
 def seeing(workstation, lost=()) -> SimpleNamespace:
-    """Return a tracker that knows the truth to 0.02 px, but in the frames with some numbers."""
+    """Return a tracker that finds the feature to 0.02 px, except in the frames `lost`."""
     rng, frames = np.random.default_rng(1), iter(range(999))
     noise = rng.normal(0.0, 0.02, (999, 2))
 
@@ -104,7 +104,7 @@ def steered(u) -> dict:
         "tracker": seeing(workstation),
         "targets": np.array([u.x0, u.y0]) + np.array([STEP, -STEP]),
         "travel": np.array([400.0, 500.0]) * u.um,
-        "test_move": 41.0 * u.um,  # not a whole number of the 2 ms between two questions
+        "test_move": 41.0 * u.um,  # its time is no multiple of the 2 ms between two polls
         "step": 70.0 * u.um,
         "tolerance": 0.1,
     }
@@ -153,7 +153,7 @@ LAWS = {
     "servoing.servo": Row(steered,
         {**dict.fromkeys(("reached", "reason", "still", "error"), SAME), "log": LOG,
         **LOG, "jacobian": px / um, "jacobian_covariance": px**2 / um**2, "drift": px / s,
-        # pictures, and the ticks at which a device is asked
+        # px and s are fixed by the frames and by the interval at which devices are polled
         "misfit": NUMBER}, laws=GOES_ON, fixed=("px", "s")),
     "servoing.simulate": Row(lambda u: {"controller": servoing.OptimalController(**weighted(u)),
         "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
@@ -201,9 +201,9 @@ def test_step_metrics_follow_rotation_of_axes(view):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_run_ends_after_three_lost_frames_in_a_row(seed):
-    """Wherever they are: the run goes on after each, until too many come in a row."""
+    """The run goes on after one or two lost frames, wherever they are."""
     lost = np.random.default_rng(seed).random(200) < 0.45
-    lost[0] = False  # the first look is not of the way
+    lost[0] = False  # the first frame precedes the phase "servo"
     workstation = begun(Units())
     tracker = seeing(workstation, np.flatnonzero(lost))
     given = {"jacobian": J, "travel": 400.0, "step": 6.0}
