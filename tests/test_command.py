@@ -160,6 +160,18 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
     assert bar.txt_label.get_text() == f"{size * length:g} µm"
 
 
+def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
+    """A mesh of more than 250 000 vertices leaves out every second row and column."""
+    levels = mixed_texture((420, 600), np.random.default_rng(0)).astype(np.float32)
+    frames = [cv2.GaussianBlur(levels, (0, 0), 0.6 + abs(k - 2)) for k in range(5)]
+    tifffile.imwrite(tmp_path / "z.tif", np.stack(frames), photometric="minisblack")
+    line = f"depth {tmp_path / 'z.tif'} --spacing 25 --pixel-size 2"
+    assert status(line, tmp_path / "out") == 0
+    x, y, _ = read_ply(tmp_path / "out" / "surface.ply")["vertices"].T
+    assert np.ptp(x) == pytest.approx(2 * 598, abs=4)
+    assert np.ptp(y) == pytest.approx(2 * 418, abs=4)
+
+
 def test_camera_matrix_and_scale_need_no_cell_size(tmp_path, capsys):
     found = []
     for cell, noted in (("", True), ("--cell 9.9", False)):

@@ -147,6 +147,8 @@ def test_projection_behind_objective_is_nan():
 def test_tilt_is_the_angle_of_the_plane_normal_to_the_axis():
     normal = SCOPE.rotation[:, 2]
     assert SCOPE.tilt == pytest.approx(np.arccos(abs(normal[2])), abs=1e-12)
+    behind = replace(SCOPE, gamma=SCOPE.gamma + np.pi)
+    assert behind.tilt == pytest.approx(SCOPE.tilt, abs=1e-12)
     assert Microscope(2e5, 1e5, 5e4, beta=1e-9).tilt == pytest.approx(1e-9, rel=1e-6)
 
 

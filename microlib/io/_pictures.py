@@ -85,7 +85,7 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
             return next(source.read())[1]
         # Not imread, which fails on names outside the system's encoding.
         data = file.read_bytes()
-        # OpenCV 4 fills up a JPEG that is cut off: the marker of its end must follow its last scan.
+        # OpenCV fills up a JPEG that ends in zeros: the end marker must follow the last scan.
         cut = data[:2] == b"\xff\xd8" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
         flags |= 0 if turn else cv2.IMREAD_IGNORE_ORIENTATION

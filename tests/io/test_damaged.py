@@ -143,6 +143,22 @@ def test_truncated_file_is_rejected(stack, tmp_path, name, write, share):
         rejects(path, f"cannot be read from .*{name}")
 
 
+def test_jpeg_whose_rest_was_not_copied_is_rejected(tmp_path):
+    """OpenCV fills it up; the thumbnail of a camera has a marker of the end of its own."""
+    rng = np.random.default_rng(0)
+    sizes = {"small": (30, 40), "whole": (120, 160)}
+    files = [
+        make.picture(tmp_path / f"{k}.jpg", rng.integers(0, 255, sizes[k], np.uint8)) for k in sizes
+    ]
+    small, whole = (file.read_bytes() for file in files)
+    segment = b"\xff\xe2" + (len(small) + 2).to_bytes(2, "big") + small
+    whole = whole[:2] + segment + whole[2:]
+    assert read_grey(make.content(files[1], whole)).shape == sizes["whole"]
+    make.content(files[1], whole[: len(whole) * 2 // 3].ljust(len(whole), b"\0"))
+    with pytest.raises(ValueError, match=r"whole\.jpg: damaged"):
+        read_grey(files[1])
+
+
 @pytest.mark.parametrize(
     ("kind", "dtype"),
     [("ImageJ", np.uint16), ("OME", np.float32), ("tifffile", np.uint8), ("pages", np.uint8)],

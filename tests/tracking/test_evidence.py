@@ -225,11 +225,11 @@ def twins(seen, step, enters):
 
 
 @pytest.mark.parametrize("filtered", [False, True])
-@pytest.mark.parametrize("step", [1, 3])
+@pytest.mark.parametrize(("step", "unit"), [(1, 1), (3, 1), (1, 16)])
 @pytest.mark.parametrize("enters", [0, 6])
-def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step, enters):
+def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step, unit, enters):
     seen = [k < 12 or k >= 20 for k in range(26)]
-    film = list(twins(seen, step, enters))
+    film = [frame / unit for frame in twins(seen, step, enters)]
     drive = {"interval": 0.03, "acceleration": 500.0, "noise": 0.1}
     kalman = KalmanFilter((79.5, 79.5), **drive) if filtered else None
     tracker = ESMTracker(film[0], (60, 60, 40, 40), "translation", kalman=kalman)
@@ -243,6 +243,22 @@ def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step, e
             assert track.confidence < 0.7
 
 
+def test_template_that_returns_far_from_the_prediction_of_the_filter_is_not_found():
+    """Returning 20 standard deviations from the prediction; the search ends at five."""
+    rng = default_rng(0)
+    part = mixed_texture((40, 40), rng, scales=2.0, std=40.0)
+    places = [60] * 5 + [None] * 2 + [300]
+    film = []
+    for x in places:
+        image = np.full((200, 400), 128.0)
+        if x is not None:
+            image[60:100, x : x + 40] = part
+        film.append(camera_frame(image, rng))
+    kalman = KalmanFilter((79.5, 79.5), interval=0.1, acceleration=400.0, noise=0.1)
+    tracker = ESMTracker(film[0], (60, 60, 40, 40), "translation", kalman=kalman)
+    assert [tracker.track(frame).lost for frame in film[1:]] == [x != 60 for x in places[1:]]
+
+
 @pytest.mark.parametrize("share", [0.55, 0.7])
 def test_periodic_texture_moved_by_most_of_a_period_is_ambiguous(share):
     tile = mixed_texture((20, 20), default_rng(2), scales=2.0, std=40.0)
@@ -254,6 +270,28 @@ def test_periodic_texture_moved_by_most_of_a_period_is_ambiguous(share):
     assert not slow.lost
     assert slow.confidence < 1
     assert (fast.lost, fast.reason) == (True, "ambiguous")
+
+
+def test_periodic_texture_is_ambiguous_after_a_loss():
+    tile = mixed_texture((20, 20), default_rng(2), scales=2.0, std=40.0)
+    plane, rng = np.tile(tile, (10, 14)), default_rng(0)
+    tracker = ESMTracker(camera_frame(plane, rng), (70, 70, 50, 50), "translation")
+    views = (np.full(plane.shape, 128.0), plane, np.roll(plane, 5, 1))
+    gone, back, moved = (tracker.track(camera_frame(view, rng)) for view in views)
+    assert gone.lost
+    assert not back.lost
+    assert moved.reason == "ambiguous"
+
+
+def test_saturated_part_of_the_template_stays_visible_in_other_light():
+    image, rng = 0.8 * scene(1) + 110, default_rng(0)
+    image[60:120, 60:95] = 400
+    tracker = ESMTracker(camera_frame(image, rng), (70, 65, 50, 50), "translation")
+    moved = translated(image, (3.3, -2.1))
+    light = np.linspace(1, 0.65, image.shape[1])
+    track = tracker.track(camera_frame(np.where(moved > 380, 400, moved * light), rng))
+    assert track.visible == 1
+    assert track.hidden.mean() < 0.1
 
 
 def test_template_is_tracked_under_growing_saturation():
