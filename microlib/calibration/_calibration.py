@@ -105,7 +105,8 @@ class Calibration(Result):
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
             f"{self.reprojection.rms:.3g} px rms residual",
-            f"  {value:.6g} µm per pixel, {'95 % ' + span if low else 'undetermined'}",
+            f"  {value:.6g} µm per pixel at the origin of the{' first' * (len(self.views) > 1)} "
+            f"pattern, {'95 % ' + span if low else 'undetermined'}",
             f"  magnification {self.microscope.magnification:.6g}, "
             f"focal length {self.microscope.focal_length:.6g} µm, "
             f"tilt {np.rad2deg(self.microscope.tilt):.3g}°",
@@ -176,9 +177,13 @@ class Calibration(Result):
         return max(value - half, least), value + half
 
     def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
-        """Width of a pixel on the pattern at the optical axis, µm, with its confidence interval.
+        """Width of a pixel at the distance of the pattern's origin, µm, with its interval.
 
-        It is the width of a sensor pixel over the magnification of the first view.
+        It is the width of a sensor pixel over the magnification of the first view. The origin is
+        the point (0, 0) of `world`: of a `Detection`, the mark (0, 0) of the grid. Other points of
+        a tilted pattern are nearer to the lens or farther away, and their pixels are smaller or
+        larger: by up to tan(tilt) times the distance from the origin over that from the lens. The
+        interval does not contain these differences.
 
         Parameters
         ----------
@@ -245,7 +250,7 @@ class Calibration(Result):
         * ``opencv``: camera matrix and distortion coefficients as ``cv2.undistort`` takes them,
           their largest deviation from this model in the image, and rotation and translation of
           each view.
-        * ``imagej``: width and height of a pixel.
+        * ``imagej``: width and height of a pixel, as in `um_per_pixel` at the pattern's origin.
         * ``micro_manager``: pixel size, the root of width times height. Its 95 % interval is in
           ``pixel_size_interval_um``; an infinite upper limit is null.
         * ``calibration``: all fields. Numbers that may be infinite or NaN are texts.
