@@ -55,6 +55,7 @@ def test_text_is_converted_to_type_of_parameter(notebook, name, text, value):
         ("size", "-1", "size must be a finite number > 0, got -1"),
         ("spread", "-1e-9", "spread must be a finite number ≥ 0, got -1e-9"),
         ("seed", "1.5", "seed must be a whole number, got 1.5"),
+        ("seed", "True", "seed must be a whole number, got True"),
         ("radius", "wide", "radius must be a finite number > 0 or None, got wide"),
         ("box", "[1,2,3]", r"box must be 4 numbers in brackets, such as \[30, 40, 40, 40\], got "),
         ("targets", "[[40, -30], [1]]", "targets must be lists of 2 numbers in brackets, such as "),

@@ -320,8 +320,8 @@ SPOILED = {
     "hollow": (hollow, r"probe's edges against a brighter ground, got them in [0-7] of"),
     "saturated": (lambda: (image() * 1.4).clip(0, 255).astype(np.uint8), "not be saturated"),
     "saturated at 12 bits": (
-        lambda: (image() * 16 * 1.4).clip(0, 4095).astype(np.uint16),
-        "not be saturated",
+        lambda: (image() * (16 * 1.4)).clip(0, 4095).astype(np.uint16),
+        "not be saturated, .* at 4095 or above",
     ),
 }
 

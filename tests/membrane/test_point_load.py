@@ -93,6 +93,9 @@ def test_samples_have_stated_mean_and_std_and_are_possible_dimples() -> None:
     # Small errors of all inputs scatter as the first order says.
     small = {name: 0.01 * value for name, value in VALUES.items()}
     samples = modulus_samples(VALUES, small, size=20_000, rng=0)
+    backwards = dict(reversed(VALUES.items()))
+    other = modulus_samples(backwards, small, size=20_000, rng=0)
+    np.testing.assert_allclose(other, samples, rtol=1e-12)
     assert samples.std() == pytest.approx(modulus_std(VALUES, small), rel=0.02)
     # 100 000 draws know the mean of 50 ± 13 µN to 0.04 and a log-normal's deviation to 0.3 %.
     forces = modulus_samples(VALUES, {"force": 13.0}, size=100_000, rng=0) / modulus * 50
