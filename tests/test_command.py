@@ -250,6 +250,7 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
         (31, {}, 1, "the grid covers less than 5 % of the image"),
         (32, {"adequate": False}, 1, "Several photographs show more of the lens\n"),
         (32, {"adequate": False}, 2, "and --pitch the same everywhere?\n"),
+        (32, {"adequate": False}, 3, "is --focal-length that of the objective, the pattern flat"),
         (32, {"low": 0.0, "undetermined": ("f",)}, 1, "magnification's interval reaches zero"),
         (32, {"undetermined": ("alpha", "f")}, 1, "note: alpha, f: undetermined; give --focal"),
     ],
@@ -294,6 +295,8 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
     assert status(line, out, "") == 0
     printed = capsys.readouterr()
     assert "lost in 1 of 6 frames;" in printed.out
+    assert ("x_um and y_um in µm" in printed.out) == ("pixel_size" in options)
+    assert ("frames/s (given)" in printed.out) == ("rate" in options)
     assert not printed.err
     before = out.read_text()
     assert status(f"{line} --quiet --overwrite", out, "") == 0
@@ -444,6 +447,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ("depth focal_stack.tif --spacing 25", "give --pixel-size µm"),
         ("depth focal_stack.tif", "give --spacing µm, --pixel-size µm"),
         ("calibrate circles.png", "microlib calibrate: no scale is in the file: give --pitch µm"),
+        (GRID.replace("circles", "none"), "none.png: no such file"),
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),

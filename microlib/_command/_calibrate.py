@@ -58,7 +58,8 @@ def run(a: argparse.Namespace) -> Files:
             views[photo] = image, found
             a.say(f"{photo}: {name}: {found}")
         except ValueError as error:
-            fault = leave_out(photo, error)
+            reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
+            fault = leave_out(photo, reason)
     if not views:
         raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
     sizes = {photo: "×".join(map(str, each.image_size)) for photo, (_, each) in views.items()}
@@ -93,8 +94,9 @@ def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
         a.note("the grid covers less than 5 % of the image: let it fill the image")
     if not result.adequate:
         more = " Several photographs show more of the lens" * (len(found) == 1)
-        same = "is the pattern flat and sharp, and --pitch the same everywhere?"
-        a.note(f"the model does not fit the points: {same}{more}")
+        focal = "--focal-length that of the objective, " * (a.focal_length is not None)
+        suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
+        a.note(f"the model does not fit the points: {suspects}{more}")
     if result.interval("magnification")[0] <= 0:
         a.note("the magnification's interval reaches zero: photograph more marks, over more of it")
     elif result.undetermined:

@@ -23,7 +23,11 @@ _SCALES = {
     "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
     "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
     "cell": ("µm", "size of a sensor pixel"),
-    "focal_length": ("µm", "focal length of the objective; estimated if it is not given"),
+    "focal_length": (
+        "µm",
+        "focal length f of the objective (thin lens: image distance f (1 + magnification)); "
+        "estimated if it is not given",
+    ),
     "force": ("µN", "force of the probe"),
     "force_std": ("µN", "standard deviation of the force; 0 by default"),
     "thickness": ("µm", "thickness of the membrane"),

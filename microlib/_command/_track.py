@@ -43,6 +43,8 @@ def run(a: argparse.Namespace) -> shared.Files:
         shared.resolve_scales(a, "pixel_size", pixel_size=frames.pixel_size)
     each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size)
     rows, lost = [next(each)], 0
+    if a.rate is not None:
+        a.say(f"rate {a.rate:g} frames/s (given)")
     stop: BaseException | None = None
     a.out.parent.mkdir(parents=True, exist_ok=True)
     with (
@@ -66,7 +68,8 @@ def run(a: argparse.Namespace) -> shared.Files:
     if a.video:
         yield "look.mp4", partial(_write_film, frames, track, a.rate or 25)
     summary = f"lost in {lost} of {len(rows)} frames"
-    a.say(f"{summary}; one row per frame, lengths in px, columns …_um in µm")
+    physical = ", x_um and y_um in µm" * (size is not None)
+    a.say(f"{summary}; one row per frame, lengths in px{physical}")
     if stop is not None:
         status = 130 if isinstance(stop, KeyboardInterrupt) else 3
         kept = a.out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C can precede the counting

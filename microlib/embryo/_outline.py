@@ -129,7 +129,8 @@ def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | N
             if MICROMETERS.get(unit) != MICROMETERS.get(other):
                 raise ValueError(f"{path} must have x and y in one unit, got {unit} and {other}")
             return (first, second), MICROMETERS.get(unit), up == "row"
-    raise ValueError(f"{path} must have the columns x and y, or col and row, got {names}")
+    units = "in px, nm, µm or mm, such as x (px) and y (px), or x_um and y_um"
+    raise ValueError(f"{path} must have the columns x and y, or col and row, {units}, got {names}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

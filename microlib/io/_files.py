@@ -39,12 +39,13 @@ def read_grey(path: str | PathLike[str]) -> NDArray:
     >>> from microlib.io import read_grey
     >>> read_grey("a.png")
     Traceback (most recent call last):
-    ValueError: path must name an image, got a.png: frames cannot be read from a.png: no such file
+    ValueError: path must name an image, got a.png: no such file
     """
     try:
         return next(iter(read_frames([path])))
     except ValueError as error:
-        raise ValueError(f"path must name an image, got {path}: {error}") from error
+        reason = str(error).removeprefix(f"frames cannot be read from {path}: ")
+        raise ValueError(f"path must name an image, got {path}: {reason}") from error
 
 
 def write_height_tiff(

@@ -150,4 +150,6 @@ def _warn_of_gaps(reading: Reading) -> None:
     usual = mode(gaps) if gaps else Decimal(0)
     for gap, ((_, before), (_, after)) in zip(gaps, pairwise(reading), strict=False):
         if gap > usual and 2 * gaps.count(usual) > len(gaps):
-            warnings.warn(f"no frame between {before.name} and {after.name}", stacklevel=2)
+            gap_at = f"no frame between {before.name} and {after.name}"
+            effect = "if one is missing, all positions and times after it are wrong"
+            warnings.warn(f"{gap_at}: {effect}", stacklevel=2)

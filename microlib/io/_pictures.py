@@ -45,6 +45,8 @@ def image_files(path: Path) -> list[Path]:
         warnings.warn(f"{', '.join(file.name for file in own)}: results, left out", stacklevel=2)
         found = [file for file in found if file not in own]
     if not found:
+        if not path.exists() and not glob.has_magic(str(path)):
+            raise ValueError(f"frames cannot be read from {path}: no such file")
         raise ValueError(f"frames must hold images, got none in {path}")
     return found
 

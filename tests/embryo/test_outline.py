@@ -183,7 +183,7 @@ def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
     [
         ("", "numbers in the columns x and y, got none"),
         ("x,y\n", "numbers in the columns x and y, got none"),
-        ("y\n1\n", r"the columns x and y, or col and row, got \['y'\]"),
+        ("y\n1\n", r"the columns x and y, or col and row, in px, .* x_um and y_um, got \['y'\]"),
         ("x,y\n1,2\n\n3,\n4,5\n", "two numbers in line 4, got '3, '"),
         ("# by hand\nx,y\n1,2\n2,nan\n3,4\n", "two numbers in line 4, got '2, nan'"),
         ("1,2\n2,about 3\n3,4\n", "two numbers in line 2, got '2, about 3'"),

@@ -104,7 +104,10 @@ def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names
     [
         (["far", "middle", "near"], "without a common number: frames in alphabetical order"),
         ([f"f{k}" for k in (1, 2, 3, 5, 6, 7)], "no frame between f3.png and f5"),
-        ([f"f{k}" for k in (0, 10, 20, 30, 90, 100)], "no frame between f30.png and f90"),
+        (
+            [f"f{k}" for k in (0, 10, 20, 30, 90, 100)],
+            "f30.png and f90.png: if one is missing, all positions",
+        ),
     ],
 )
 def test_missing_numbers_give_a_warning(tmp_path, names, words):
