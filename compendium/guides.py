@@ -60,9 +60,9 @@ def manifest() -> dict[str, dict]:
     return tomllib.loads("\n".join(texts))
 
 
-def out_folder(given: str, name: str) -> Path:
+def out_folder(given: str, name: str, *, continued: str = "") -> Path:
     """
-    Return the folder for a guide's results, and make it.
+    Return the folder for a guide's results, and make it; refuse one that holds other files.
 
     Parameters
     ----------
@@ -70,15 +70,34 @@ def out_folder(given: str, name: str) -> Path:
         The reader's own; empty for one in the project's ``build/guides``.
     name : str
         Name of the guide.
+    continued : str
+        Name of the table by which the guide continues a run that was stopped. A folder that holds
+        this table, with its first column `file`, is accepted.
 
     Returns
     -------
     pathlib.Path
         The folder.
+
+    Raises
+    ------
+    ValueError
+        If the reader's own folder holds files, which the results might replace.
     """
     folder = Path(given or ROOT / "build" / "guides" / name)
     folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    # No guide writes hidden files; `compendium.run` may keep the executed notebook here.
+    files = sorted(
+        path.name for path in folder.iterdir() if not path.name.startswith((".", "07_guide_"))
+    )
+    if not given or not files:
+        return folder
+    if continued in files and (folder / continued).read_bytes().startswith(b"file,"):
+        return folder
+    more = f" and {len(files) - 1} more" if files[1:] else ""
+    raise ValueError(
+        f"out must be a new or empty folder, got {given}, which holds {files[0]}{more}"
+    )
 
 
 def resolve_scales(

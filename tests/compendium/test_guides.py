@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from compendium.guides import FOLDER, compare, find_input, manifest, resolve_scales
+from compendium.guides import FOLDER, compare, find_input, manifest, out_folder, resolve_scales
 
 EMBRYO = find_input("embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
@@ -49,3 +49,22 @@ def test_truth_and_scales_are_those_of_the_demo_alone(tmp_path, capsys):
         resolve_scales(mine, dict.fromkeys(SETTINGS))
     given, in_file = SETTINGS | {"pixel_size": None}, {"pixel_size": 2.0, "force": 9.0}
     assert resolve_scales(mine, given, in_file)[0] == SETTINGS | {"pixel_size": 2.0}
+
+
+def test_folder_with_files_is_refused_unless_it_holds_the_table_of_a_stopped_run(tmp_path):
+    own = tmp_path / "own"
+    assert out_folder(str(own), "embryo") == own
+    (own / "07_guide_embryo.log.txt").touch()  # of the run itself
+    assert out_folder(str(own), "embryo") == own
+    table = own / "moduli.csv"
+    table.write_text("modulus\n1.3\n")
+    (own / "plate").mkdir()
+    for continued in ("", "moduli.csv"):  # the table is the reader's own
+        with pytest.raises(
+            ValueError, match=r"out must be .*own, which holds moduli.csv and 1 more"
+        ):
+            out_folder(str(own), "embryo", continued=continued)
+    table.write_text("file,modulus\nb.png,1.3\n")
+    assert out_folder(str(own), "embryo", continued="moduli.csv") == own
+    with pytest.raises(ValueError, match="out must be a new or empty folder"):
+        out_folder(str(own), "embryo")

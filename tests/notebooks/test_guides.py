@@ -46,6 +46,7 @@ LEAVES = {
     },
     "modulus": {"modulus.csv", "inputs.csv", "dimple.png"},
     "tracking": {"track.csv", "look.png"},
+    "servoing": {"log.csv", "jacobian.csv", "run.png"},
 }
 
 
@@ -101,6 +102,19 @@ def test_guide_asks_for_the_scales_of_own_file(tmp_path, monkeypatch, guide):
     with pytest.raises(ValueError, match="must be given for mine") as asked:
         run_here(guide, **{parameter: mine})
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
+
+
+@pytest.mark.parametrize("guide", EVERY)
+def test_guide_stops_before_it_replaces_own_file(tmp_path, monkeypatch, guide):
+    monkeypatch.chdir(tmp_path)
+    for name in LEAVES[guide]:
+        own = tmp_path / f"for {name}" / name
+        own.parent.mkdir()
+        own.write_text("mine")
+        with pytest.raises(ValueError, match=f"^out must be a new or empty .* holds {name}$"):
+            run_here(guide, out=str(own.parent))
+        assert own.read_text() == "mine"
+        assert list(own.parent.iterdir()) == [own]
 
 
 #: The cell of each guide that measures a folder of files, and an input to put there.
@@ -214,6 +228,22 @@ def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(tmp_path, monkey
     found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
     assert found["modulus_MPa"] == pytest.approx(1.3237, abs=2e-4)
     assert "The dimple is too steep for the model" in capsys.readouterr().out
+
+
+def test_modulus_without_standard_deviations_has_no_interval(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    numbers = {"dimple_radius": 250.0, "dimple_depth": 45.7, "force": 10.0}
+    run_here("modulus", **numbers, thickness=3.0, probe_half_width=25.0)
+    found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
+    unknown = {
+        "modulus_std_MPa",
+        *(f"modulus_{one}_MPa" for one in ("low68", "high68", "low95", "high95")),
+    }
+    assert set(found.index[found.isna()]) == unknown
+    text = capsys.readouterr().out
+    assert "No interval is known" in text
+    assert "% interval" not in text
+    assert "±" not in text
 
 
 def test_servo_run_that_ends_early_keeps_log(tmp_path, monkeypatch):
