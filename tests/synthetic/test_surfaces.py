@@ -62,3 +62,13 @@ def test_blur_grows_with_the_distance_from_focus():
         peer = cv2.GaussianBlur(texture, (31, 31), sigma, borderType=cv2.BORDER_REFLECT)
         # Half a grey level of rounding and what the ladder of blurs leaves.
         assert np.abs(frame - np.clip(peer, 0, 255)).max() < 0.8
+
+
+def test_stacks_drawn_with_one_generator_have_independent_noise():
+    rng, flat = np.random.default_rng(3), np.full((32, 32), 128.0)
+    one, two = (
+        synthetic.focal_stack(flat, 0 * flat, [0.0], blur_rate=0.1, noise=2.0, rng=rng)
+        for _ in range(2)
+    )
+    # A correlation of 1024 independent pairs has the standard deviation 0.03.
+    assert abs(np.corrcoef(one.ravel(), two.ravel())[0, 1]) < 0.2
