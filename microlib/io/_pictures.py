@@ -22,6 +22,12 @@ _INDEXED = frozenset({".avi", ".mp4", ".m4v", ".mov"})
 FILMS = _INDEXED | {".mkv", ".mpg", ".mpeg", ".webm", ".wmv"}
 
 
+def check_exists(path: Path) -> None:
+    """Raise if a path is neither a file or a folder nor a pattern of files."""
+    if not path.exists() and not glob.has_magic(str(path)):
+        raise ValueError(f"frames cannot be read from {path}: no such file")
+
+
 def image_files(path: Path) -> list[Path]:
     """Return the images in a folder or of a pattern, without pictures and maps of earlier results.
 
@@ -45,8 +51,7 @@ def image_files(path: Path) -> list[Path]:
         warnings.warn(f"{', '.join(file.name for file in own)}: results, left out", stacklevel=2)
         found = [file for file in found if file not in own]
     if not found:
-        if not path.exists() and not glob.has_magic(str(path)):
-            raise ValueError(f"frames cannot be read from {path}: no such file")
+        check_exists(path)
         raise ValueError(f"frames must hold images, got none in {path}")
     return found
 

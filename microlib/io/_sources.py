@@ -17,6 +17,7 @@ from microlib.io._names import in_order
 from microlib.io._pictures import (
     FILMS,
     PICTURES,
+    check_exists,
     image_files,
     open_film,
     open_gif,
@@ -64,8 +65,7 @@ def _open_path(path: Path, choice: Choice) -> Source:
     if not zarr and (path.is_dir() or (not path.exists() and glob.has_magic(str(path)))):
         files = in_order(image_files(path))
         return open_pictures(files) if len(files) > 1 else _open_path(files[0], choice)
-    if not path.exists():
-        raise ValueError(f"frames cannot be read from {path}: no such file")
+    check_exists(path)
     with reading(f"frames cannot be read from {path}"):
         if zarr:
             return open_zarr(path, choice)

@@ -19,7 +19,7 @@ class MicroManager:
     ----------
     core : pymmcore_plus.CMMCorePlus or subclass
         A core whose devices are loaded, ``core.loadSystemConfiguration("microscope.cfg")``. Its
-        camera and XY stage are those that the core calls its own.
+        current camera (``getCameraDevice``) and XY stage (``getXYStageDevice``) are used.
 
     Attributes
     ----------

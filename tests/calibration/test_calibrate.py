@@ -422,6 +422,11 @@ def test_views_drawn_by_opencv_give_its_lens():
     assert found.dof == 11 * 8 - 1  # the errors of a mark are the same in all views
 
 
+def test_marks_of_two_views_share_their_printed_errors():
+    world, image = lens_views(2, shift=0.8)
+    assert calibrate(world, image, **CAMERA).dof == 11 * 8 - 1
+
+
 def test_bic_leaves_out_needless_lens_parameters():
     _, world, exact = tilted_views()
     left_out = 0

@@ -46,7 +46,7 @@ def test_largest_sml_does_not_overflow():
 
 
 @pytest.mark.parametrize("name", MEASURES)
-def test_a_measure_falls_with_blur(name):
+def test_focus_measure_decreases_with_blur(name):
     noise = np.random.default_rng(8).normal(0, 60, (40, 57)).astype(np.float32)
     means = [
         np.mean(MEASURES[name](ndimage.gaussian_filter(noise, sigma), window=5))

@@ -77,7 +77,6 @@ EMBRYO = {
     **dict.fromkeys(("dimple_radius", "thickness", "probe_half_width", "radius"), um),
     **dict.fromkeys(("dimple_depth", "height"), um),
 }
-WARPED = {"first": NUMBER, "second": NUMBER, "box": NUMBER, "corners": NUMBER}
 #: Grey levels in single precision, or with the scene's distances in pixels of 1e-12 behind them.
 SINGLE = {"within": 1e-5}
 #: Pictures have grey levels up to 255.
