@@ -91,6 +91,7 @@ def run_with(method, instead, first):
     return run, scope, max(ways) / travel
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("first", [3, 11])  # within the calibration, and on the way to the target
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_ends_the_run_and_stops_the_stage(fault, first):

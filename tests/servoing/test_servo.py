@@ -97,6 +97,7 @@ def test_servo_runs_outside_the_main_thread():
     assert runs[0].reached.all()
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("between", [0.02, 0.1, 0.2])
 def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     scope = scope_of(stage=Stage(saturation=100.0))
