@@ -23,9 +23,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
     shared.add_scales(parser, "pixel_size")
     shared.add_axes(parser)
-    parser.add_argument(
-        "--video", action="store_true", help="also write a film that marks the part"
-    )
+    film = "also write a film that marks the part, with 25 frames/s unless --rate is given"
+    parser.add_argument("--video", action="store_true", help=film)
 
 
 def run(a: argparse.Namespace) -> shared.Files:
