@@ -38,10 +38,10 @@ $(STAMP): environment.txt pyproject.toml
 
 # Installed over environment.txt, whose versions extras.txt keeps to. Both name all that is needed; pip
 # would not find the hash of a package that one of them wants with an extra.
-extras: $(STAMP) ## add the locked microscope engine, dask, xarray and zarr to .venv, whose tests skip without
+extras: $(STAMP) ## install pymmcore-plus, dask, xarray and zarr into .venv; their tests are skipped without them
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
 
-lab: $(STAMP) ## open the notebooks in JupyterLab, locked in lab.txt
+lab: $(STAMP) ## install JupyterLab into .venv and open the notebooks
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r lab.txt
 	@$(BIN)/python -m jupyterlab notebooks
 
@@ -67,7 +67,7 @@ test: $(STAMP) ## run every test: library, notebooks, book
 	$(BIN)/python -m pytest --numprocesses 2 --quiet || failed=1; \
 	$(BIN)/python -m compendium.run --failures && exit $$failed
 
-lint: $(STAMP) ## check format, style, types, and that notebooks carry no outputs
+lint: $(STAMP) ## check format, style and types, and that the notebooks have no outputs
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/ruff check --quiet .
 	@nice $(BIN)/mypy # in `make test` the notebooks, which take longer, run beside it
@@ -78,10 +78,10 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
 
-data: $(STAMP) ## write data/synthetic anew, the same bytes
+data: $(STAMP) ## write the files of data/synthetic again, byte by byte the same
 	@$(BIN)/python -m data.synthetic.make
 
-benchmarks: $(STAMP) ## measure microlib beside its peers (an hour; says how long, keeps what is done)
+benchmarks: $(STAMP) ## compare microlib with other tools (about an hour; prints the time, keeps finished results)
 	@$(BIN)/python -m benchmarks
 
 # The library's tests; the others need what runs and renders the book.
@@ -92,25 +92,25 @@ oldest: ## run the library's tests with the oldest dependencies that pyproject.t
 	@.venv-oldest/bin/pip install --quiet --requirement tests/oldest.txt .
 	@.venv-oldest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
-newest: ## run the library's tests with the newest dependencies, of this PYTHON, unlocked
+newest: ## run the library's tests with the newest dependencies; PYTHON=python3.13 selects the Python
 	@$(PYTHON) -m venv --clear .venv-newest
 	@.venv-newest/bin/pip install --quiet --upgrade .[codecs,opencv] $$(sed -n '/^hypothesis/,$$s/==.*//p' tests/oldest.txt)
 	@.venv-newest/bin/python -m pytest --numprocesses 2 --quiet $(LIBRARY)
 
-portable: $(STAMP) ## run everything as other processors would round (an hour)
+portable: $(STAMP) ## run everything with the rounding of other processors (about an hour)
 	@$(BIN)/python .ci/portable.py $(PORTABLE)
 
-fuzz: $(STAMP) ## call everything public with two unusual values at once (minutes)
+fuzz: $(STAMP) ## call each public function with two unusual arguments at once (minutes)
 	@FUZZ_PAIRS=60 $(BIN)/python -m pytest --quiet tests/test_arguments.py
 
-hostile: $(STAMP) ## run the notebooks in a clone under what other machines have and do (minutes)
+hostile: $(STAMP) ## run notebooks in a fresh clone under faults of other machines, such as a full disk (minutes)
 	@$(BIN)/python .ci/hostile.py $(HOSTILE)
 
 # Nothing is read from S3, whose client that agrees with the other versions is ten years old and
 # hinders imports.
 UNUSED := s3fs boto3 botocore bcdoc jmespath six
 
-lock: $(STAMP) ## compile environment.txt, extras.txt and lab.txt anew (needs uv)
+lock: $(STAMP) ## update the versions in environment.txt, extras.txt and lab.txt (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
 	@uv pip compile pyproject.toml --extra dask --extra microscope --extra xarray --extra zarr --generate-hashes --universal \
