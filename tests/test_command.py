@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from argparse import Namespace
@@ -43,7 +44,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWar
 
 def status(line: str, out: Path | str, look: str = "--no-look") -> int:
     """Run a task on a file of the inputs, without a picture; return its exit status."""
-    task, source, *options = line.split()
+    task, source, *options = shlex.split(line)
     try:
         return main([task, str(INPUTS / source), *options, *look.split(), "-o", str(out)])
     except SystemExit as end:
@@ -267,8 +268,8 @@ def test_advice_depends_on_the_calibration(
     grids = [Namespace(points=each, image_size=(400, 100), **shown) for each in ends]
     monkeypatch.setattr(calibration, "detect_pattern", lambda *_: ("grid", grids.pop()))
     monkeypatch.setattr(calibration, "calibrate", lambda *_, **__: Namespace(**own))
-    photos = " ".join(["circles.png", f"{INPUTS}/embryo.png", f"{INPUTS}/height_um.tif"][:views])
-    assert status(GRID.replace("circles.png", photos), tmp_path) == 0
+    photos = ["circles.png", f"{INPUTS}/embryo.png", f"{INPUTS}/height_um.tif"][:views]
+    assert status(GRID.replace("circles.png", shlex.join(photos)), tmp_path) == 0
     printed = capsys.readouterr().err
     assert advice in printed
     assert printed.count("\n") == bool(advice)
