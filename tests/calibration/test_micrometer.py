@@ -60,6 +60,20 @@ def test_missing_line_is_skipped_and_uneven_lines_are_rejected():
         detect_micrometer(cv2.GaussianBlur(uneven, (0, 0), 1.0) + rng.normal(0, 1, uneven.shape))
 
 
+@pytest.mark.parametrize("cut", [0.2, 0.5, 0.8])
+def test_line_that_the_edge_of_the_image_cuts_is_left_out(cut):
+    """It was a peak elsewhere than the line, and wide lines were refused as uneven."""
+    width, spacing = 16.0, 40.0
+    first = width * (1 / 2 - cut)  # the edge hides this share of the first line
+    x = np.arange(300.0)[None]
+    away = np.abs((x - first + spacing / 2) % spacing - spacing / 2)
+    profile = cv2.GaussianBlur(np.where(away < width / 2, 60.0, 200.0), (0, 0), 2.0)
+    image = np.tile(profile, (60, 1)) + np.random.default_rng(2).normal(0, 2, (60, 300))
+    turn = cv2.getRotationMatrix2D((150, 30), 0.3, 1.0)
+    found = detect_micrometer(cv2.warpAffine(image, turn, (300, 60), borderMode=cv2.BORDER_REFLECT))
+    assert found.spacing == pytest.approx(spacing, rel=3e-4)
+
+
 @pytest.mark.parametrize("spacing", [7.7, 13.7])
 @pytest.mark.parametrize("angle", [0.0, 0.2])
 def test_uneven_light_adds_no_bias_to_a_scale(spacing, angle):

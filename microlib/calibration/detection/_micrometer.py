@@ -12,6 +12,9 @@ from microlib._common import Array, Result, scalar
 from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
 from microlib.calibration.detection._settings import Settings
 
+#: Distance from a line within which its darkness is measured, in divisions.
+_REACH = 2 / 5
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Micrometer(Result):
@@ -62,8 +65,8 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     """Detect the lines of a scale; see :func:`detect_micrometer`."""
     angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
-    rows, dark = _profile(upright)
-    places, spacing = _lines(dark)
+    rows, dark, ends = _profile(upright)
+    places, spacing = _lines(dark, ends)
     places = _centers(dark, places, spacing)
     steps = np.round(np.diff(places) / spacing).astype(np.intp)
     divisions = np.concatenate([[0], np.cumsum(steps)])
@@ -91,8 +94,9 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     )
 
 
-def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
-    """The rows that cross the lines, and the darkness of their mean profile.
+def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tuple[int, int]]:
+    """The rows that cross the lines, the darkness of their mean profile, and the first and the last
+    column that the image contains.
 
     The darkness is from 0 to 1 between the envelopes of the profile, which follow uneven light.
     """
@@ -101,7 +105,8 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
     rows = change >= (np.nanmin(change) + np.nanmax(change)) / 2
     profile = _mean(upright[rows])
-    if not np.isfinite(profile).any():
+    known = np.flatnonzero(np.isfinite(profile))
+    if not len(known):
         raise _no_scale("no row across them")
     profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
     size = len(profile) // 4
@@ -110,15 +115,22 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array]:
         for envelope in (minimum_filter1d, maximum_filter1d)
     )
     evened = (profile - low) / np.maximum(high - low, np.ptp(profile) / 10 + np.finfo(float).tiny)
-    return rows, evened if evened.mean() < 1 / 2 else 1 - evened  # lines cover less than half
+    dark = evened if evened.mean() < 1 / 2 else 1 - evened  # lines cover less than half
+    return rows, dark, (int(known[0]), int(known[-1]))
 
 
-def _lines(dark: Array) -> tuple[Array, float]:
-    """Peaks of a profile that are equidistant with few exceptions, and their distance, px."""
+def _lines(dark: Array, ends: tuple[int, int]) -> tuple[Array, float]:
+    """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
+
+    A line that an edge of the image cuts, one of `ends`, has another centroid and is left out.
+    """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
     # Numerals and dirt have lower peaks in the mean profile.
     places = find_peaks(dark, prominence=np.ptp(dark) / 3)[0].astype(np.float64)
+    if len(places) > 1:
+        reach = _REACH * np.median(np.diff(places))
+        places = places[(places - reach >= ends[0]) & (places + reach <= ends[1])]
     gaps = np.diff(places)
     steps = gaps / np.median(gaps) if len(gaps) else gaps
     regular = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
@@ -132,12 +144,12 @@ def _lines(dark: Array) -> tuple[Array, float]:
 
 
 def _centers(dark: Array, places: Array, spacing: float) -> Array:
-    """Centroid of the darkness within two fifths of a division of each line, in four iterations.
+    """Centroid of the darkness within `_REACH` divisions of each line, in four iterations.
 
     A straight line is subtracted as the background, which allows for uneven light.
     """
     part = np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
-    offsets = 2 / 5 * spacing * part
+    offsets = _REACH * spacing * part
     for _ in range(4):
         line = np.interp(places[:, None] + offsets, np.arange(len(dark)), dark)
         first, last = line[:, :1], line[:, -1:]
