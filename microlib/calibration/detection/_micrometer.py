@@ -65,8 +65,8 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     """Detect the lines of a scale; see :func:`detect_micrometer`."""
     angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
-    rows, dark, ends = _profile(upright)
-    places, spacing = _lines(dark, ends)
+    rows, dark, within = _profile(upright)
+    places, spacing = _lines(dark, within)
     places = _centers(dark, places, spacing)
     steps = np.round(np.diff(places) / spacing).astype(np.intp)
     divisions = np.concatenate([[0], np.cumsum(steps)])
@@ -119,10 +119,11 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
     return rows, dark, (int(known[0]), int(known[-1]))
 
 
-def _lines(dark: Array, ends: tuple[int, int]) -> tuple[Array, float]:
+def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
 
-    A line that an edge of the image cuts, one of `ends`, has another centroid and is left out.
+    A line that the first or the last column `within` the image cuts has another centroid. It is left
+    out.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
@@ -130,7 +131,7 @@ def _lines(dark: Array, ends: tuple[int, int]) -> tuple[Array, float]:
     places = find_peaks(dark, prominence=np.ptp(dark) / 3)[0].astype(np.float64)
     if len(places) > 1:
         reach = _REACH * np.median(np.diff(places))
-        places = places[(places - reach >= ends[0]) & (places + reach <= ends[1])]
+        places = places[(places - reach >= within[0]) & (places + reach <= within[1])]
     gaps = np.diff(places)
     steps = gaps / np.median(gaps) if len(gaps) else gaps
     regular = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
