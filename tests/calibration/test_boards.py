@@ -10,7 +10,10 @@ import skimage.data
 from scipy.spatial import cKDTree
 
 from microlib.calibration import detect_circles, detect_micrometer, detect_pattern, detect_squares
+from microlib.calibration.detection import _corners as corners
 from microlib.calibration.detection import _patterns as patterns
+from microlib.calibration.detection import _shapes as shapes
+from microlib.calibration.detection._settings import Settings
 from tests.calibration.scenes import PHOTOGRAPHS, SQUARE, board, camera, chessboard
 
 DETECT = {"circle": detect_circles, "square": detect_squares}
@@ -280,6 +283,22 @@ def test_sublattice_is_rejected_by_its_correlation(monkeypatch):
 
 
 # Displaced marks
+
+
+def test_corners_that_coincide_are_no_board():
+    """Their map has no area, by which a photograph of a ChArUco board gave a division by zero."""
+    grey = np.random.default_rng(0).normal(100, 20, (80, 100)).astype(np.float32)
+    centers, grid = np.repeat([[10.0, 10], [20, 20]], 2, axis=0), np.indices((2, 2)).reshape(2, 4).T
+    with pytest.raises(ValueError, match="no corner of a board is left"):
+        corners._correlated(grey, centers, grid, "chessboard", Settings())
+
+
+def test_message_about_corners_that_do_not_fit_speaks_of_corners(monkeypatch):
+    image, *_ = chessboard()
+    count = len(detect_squares(image, pattern="chessboard").points)
+    monkeypatch.setattr(shapes, "MIN_MARKS", count + 1)
+    with pytest.raises(ValueError, match=f"the corners of a chessboard, got {count} that fit"):
+        detect_squares(image, pattern="chessboard")
 
 
 def test_sigma_is_that_of_the_residuals_if_larger():

@@ -87,11 +87,12 @@ def _correlated(
     # photographs by a wide-angle lens, one or two limits reject two, and three limits one.
     for limit in (0.4, 0.6, settings.min_correlation):
         to_image, _ = fit_grid_map(centers[:, None], grid.astype(float), MIDDLE, smooth.shape)
-        offset = np.linalg.norm(centers - to_image(grid), axis=1) / np.sqrt(to_image.scale(grid))
+        offset = np.linalg.norm(centers - to_image(grid), axis=1)
+        side = np.sqrt(to_image.scale(grid))  # zero where false corners coincide
         drawn = np.sign(places.prod(axis=1)) * (-1.0) ** grid.sum(axis=1)[:, None]
         steps = to_image.steps(grid)
         both = [correlation(smooth, centers, steps, places, sign * drawn) for sign in (1, -1)]
-        kept = (max(both, key=np.median) > limit) & (offset < 1 - limit)
+        kept = (max(both, key=np.median) > limit) & (offset < (1 - limit) * side)
         centers, grid = centers[kept], grid[kept]
         if len(grid) < MIN_MARKS or fill(grid) == 0:
             raise ValueError("no corner of a board is left")

@@ -122,8 +122,7 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
 def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
 
-    A line that the first or the last column `within` the image cuts has another centroid. It is left
-    out.
+    A line that the first or last column `within` the image cuts has another centroid: left out.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
