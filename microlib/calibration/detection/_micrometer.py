@@ -46,6 +46,10 @@ class Micrometer(Result):
     def um_per_pixel(self, division: float) -> tuple[float, float, float]:
         """Size of a pixel, µm, with the limits of its 95 % interval.
 
+        It is the mean along the scale. The interval does not contain changes of the size over the
+        image by distortion or a tilted scale. `residuals` that change smoothly from line to line
+        are a sign of them.
+
         Parameters
         ----------
         division : float
