@@ -252,6 +252,7 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
         (32, {"adequate": False}, 1, "Several photographs show more of the lens\n"),
         (32, {"adequate": False}, 2, "and --pitch the same everywhere?\n"),
         (32, {"adequate": False}, 3, "is --focal-length that of the objective, the pattern flat"),
+        (32, {"misfit": np.nan}, 1, "too few marks to test whether the model fits"),
         (32, {"low": 0.0, "undetermined": ("f",)}, 1, "magnification's interval reaches zero"),
         (32, {"undetermined": ("alpha", "f")}, 1, "note: alpha, f: undetermined; give --focal"),
     ],
@@ -262,7 +263,7 @@ def test_advice_depends_on_the_calibration(
     """One of the grids has sides of so many px and twice as many, in 400×100 px."""
     shown = dict.fromkeys(("to_frame", "to_json", "plot"), POINTS.copy)
     shown |= {"held_out": np.full(views, np.nan), "to_json": str}
-    own = {"adequate": True, "undetermined": (), "low": 1.0, **changed, **shown}
+    own = {"adequate": True, "misfit": 1.0, "undetermined": (), "low": 1.0, **changed, **shown}
     own["interval"] = {"magnification": (own["low"], 3.0)}.__getitem__
     ends = [np.array([[30, 40], [30 + n, 40 + 2 * n]]) for n in (side, *[0] * (views - 1))]
     grids = [Namespace(points=each, image_size=(400, 100), **shown) for each in ends]

@@ -97,6 +97,11 @@ def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
         focal = "--focal-length that of the objective, " * (a.focal_length is not None)
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
         a.note(f"the model does not fit the points: {suspects}{more}")
+    if np.isnan(result.misfit):
+        a.note(
+            "too few marks to test whether the model fits: its errors are not in the intervals; "
+            "photograph more marks"
+        )
     if result.interval("magnification")[0] <= 0:
         a.note("the magnification's interval reaches zero: photograph more marks, over more of it")
     elif result.undetermined:

@@ -120,11 +120,17 @@ class Calibration(Result):
             )
         if not self.adequate:
             lines.append(f"  the model is not adequate: misfit {self.misfit:.3g}")
+        elif np.isnan(self.misfit):
+            lines.append("  too few points to test whether the model is adequate")
         return "\n".join(lines)
 
     @property
     def adequate(self) -> bool:
-        """False if the residuals contradict the model: `p_value` is below 0.001."""
+        """False if the residuals contradict the model: `p_value` is below 0.001.
+
+        It is True where the points are too few for a test. `misfit` is then NaN, and the intervals
+        contain no error of the model, such as a second distortion coefficient.
+        """
         return self.p_value >= 1e-3
 
     @property
