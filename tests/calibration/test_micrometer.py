@@ -74,6 +74,13 @@ def test_line_that_the_edge_of_the_image_cuts_is_left_out(cut):
     assert found.spacing == pytest.approx(spacing, rel=3e-4)
 
 
+def test_diagonal_lines_in_a_long_strip_are_refused_without_a_warning():
+    """Half of no row of the turned strip is image, of which NumPy warned."""
+    y, x = np.mgrid[:60, :600]
+    with pytest.raises(ValueError, match="got no row across them"):
+        detect_micrometer(128 + 60 * np.sin((x + y) * 2 * np.pi / 20))
+
+
 @pytest.mark.parametrize("spacing", [7.7, 13.7])
 @pytest.mark.parametrize("angle", [0.0, 0.2])
 def test_uneven_light_adds_no_bias_to_a_scale(spacing, angle):

@@ -107,10 +107,12 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
     from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
-    rows = change >= (np.nanmin(change) + np.nanmax(change)) / 2
+    # Half of no row is image where a long strip is turned by 45°.
+    known = change[np.isfinite(change)]
+    rows = change >= (known.min() + known.max()) / 2 if len(known) else np.isfinite(change)
     profile = _mean(upright[rows])
-    known = np.flatnonzero(np.isfinite(profile))
-    if not len(known):
+    columns = np.flatnonzero(np.isfinite(profile))
+    if not len(columns):
         raise _no_scale("no row across them")
     profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
     size = len(profile) // 4
@@ -120,7 +122,7 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
     )
     evened = (profile - low) / np.maximum(high - low, np.ptp(profile) / 10 + np.finfo(float).tiny)
     dark = evened if evened.mean() < 1 / 2 else 1 - evened  # lines cover less than half
-    return rows, dark, (int(known[0]), int(known[-1]))
+    return rows, dark, (int(columns[0]), int(columns[-1]))
 
 
 def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
