@@ -16,6 +16,9 @@ from microlib.tracking._geometry import TINY
 #: Mean information (nats) of a block that shows something else.
 _UNRELATED = 0.25
 
+#: Share of a block's variance that interpolation leaves: the mean over photographs without noise.
+_INTERPOLATION = 0.001
+
 #: Largest weight of one block in the agreement: its variance over that of the noise.
 _LARGEST_WEIGHT = 50.0
 
@@ -74,7 +77,8 @@ class Blocks:
         weight = np.where(information > _UNRELATED, information * self.visible, 0.0)
         off = gain - _weighted_median(gain, weight)
         score = np.maximum(information - _UNRELATED - off**2, 0)
-        return float((score * self.visible / (1 + self.unexplained / self.noise / 3**2)).sum())
+        expected = self.noise + _INTERPOLATION * self.gg
+        return float((score * self.visible / (1 + self.unexplained / expected / 3**2)).sum())
 
     def agreement(self) -> Agreement:
         """Return how far the blocks of one patch agree."""
