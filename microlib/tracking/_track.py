@@ -46,7 +46,8 @@ class Track(Tidy):
         Probability that the pose is right within a pixel. It is 1 where every part of the template
         agrees within the noise, and else an estimate that was fitted to photographs. It is reduced
         if something identical stood nearby in the last frame or if the texture is periodic, the
-        more the further the template moved. Below 0.7 the template counts as lost;
+        more the further the template moved. It is also reduced if a part of the template moves
+        differently from the rest. Below 0.7 the template counts as lost;
         `confidence` is then that of the most probable pose, or 0. With a periodic texture the
         confidence falls to 0.7 at a motion of 0.23 of a period, or of 0.3 of a period if that is
         more than a quarter of the box.

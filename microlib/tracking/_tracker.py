@@ -35,10 +35,12 @@ class ESMTracker:
     searched for in the whole frame. With a Kalman filter, it is searched for near the predicted
     position.
 
-    An object that resembles the template lowers the probability. A visible template may therefore
-    be reported as lost. The motion of a periodic texture by a whole period cannot be
-    distinguished from rest. Motion by nearly a whole period looks like a small motion in the
-    opposite direction.
+    An object that resembles the template lowers the probability. So does a part of the template
+    that moves differently from the rest, such as an object in front of ground at rest. A visible
+    template may therefore be reported as lost. If most of the texture in the box is ground, the
+    ground may be tracked instead of the object: the box should show little of it. The motion of a
+    periodic texture by a whole period cannot be distinguished from rest. Motion by nearly a whole
+    period looks like a small motion in the opposite direction.
 
     Parameters
     ----------

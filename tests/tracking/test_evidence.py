@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
+from microlib.tracking._sampling import half_pixel
 from microlib.tracking.robust._covariance import sandwich
 from tests.laws import hold_sigma
 from tests.scenes import camera_frame
@@ -257,6 +258,36 @@ def test_template_that_returns_far_from_the_prediction_of_the_filter_is_not_foun
     kalman = KalmanFilter((79.5, 79.5), interval=0.1, acceleration=400.0, noise=0.1)
     tracker = ESMTracker(film[0], (60, 60, 40, 40), "translation", kalman=kalman)
     assert [tracker.track(frame).lost for frame in film[1:]] == [x != 60 for x in places[1:]]
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_part_that_leaves_half_of_its_template_at_rest_is_lost(noise):
+    """Neither half tells which of them is the part and which is the ground."""
+    for seed in range(6):
+        rng = default_rng(seed)
+        ground = mixed_texture((180, 200), rng, scales=(2.0, 6.0), std=35.0)
+        part = mixed_texture((60, 30), rng, scales=(2.0, 6.0), std=35.0)
+        frames = []
+        for x, y in ((70, 60), (79, 64)):
+            image = ground.copy()
+            image[y : y + 60, x : x + 30] = part
+            frames.append(camera_frame(image, rng, noise=noise))
+        track = ESMTracker(frames[0], (70, 60, 60, 60), "translation").track(frames[1])
+        assert track.lost
+        assert track.reason == "no agreement"
+
+
+@pytest.mark.parametrize("distance", [0.5, 4.5])
+def test_right_pose_has_as_high_a_score_in_less_noise(distance):
+    """Interpolation then leaves more than the noise: a score must allow for both."""
+    image, box = scene(0, 1.5), (70, 65, 50, 50)
+    level = ESMTracker(image, box, "translation")._search._photometric[0]
+    pose = np.array([[25, 0, 94.5 + distance], [0, 25, 89.5 + distance], [0, 0, 1]])
+    moved = half_pixel(translated(image, (distance, distance)).astype(np.float32))
+    more, less = (
+        level.align_photometric(moved, pose, noise, np.inf).blocks.score() for noise in (2.0, 0.2)
+    )
+    assert less > 0.9 * more
 
 
 @pytest.mark.parametrize("share", [0.55, 0.7])

@@ -67,7 +67,15 @@ class Blocks:
         return self.gg * (1 - self.square)
 
     def score(self) -> float:
-        """Return the information (nats) in which template and image agree, summed over the blocks.
+        """Return the information (nats) in which template and image agree, of all blocks."""
+        return float(self.scores().sum())
+
+    def only_in(self, other: Blocks) -> float:
+        """Return the information (nats) that the blocks have only at another pose."""
+        return float(np.maximum(other.scores() - self.scores(), 0).sum())
+
+    def scores(self) -> Array:
+        """Return the information (nats) in which each block of the template agrees with the image.
 
         A block with the correlation ρ and the gain a has −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
         positive, and less if its residual exceeds the noise; Δ is to the median of all blocks.
@@ -78,7 +86,7 @@ class Blocks:
         off = gain - _weighted_median(gain, weight)
         score = np.maximum(information - _UNRELATED - off**2, 0)
         expected = self.noise + _INTERPOLATION * self.gg
-        return float((score * self.visible / (1 + self.unexplained / expected / 3**2)).sum())
+        return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
 
     def agreement(self) -> Agreement:
         """Return how far the blocks of one patch agree."""

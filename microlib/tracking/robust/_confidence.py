@@ -1,9 +1,10 @@
-"""Probability that what a robust search found is right, by logistic regression."""
+"""Probability that what a robust search found is right."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from microlib.tracking._geometry import TINY
 from microlib.tracking.robust._search import Finding
 
 #: Coefficients of the features of `confidence`. Fitted by maximum likelihood with a ridge of ½
@@ -17,9 +18,12 @@ COEFFICIENTS = np.array([-3.64, 0.33, 4.16, -9.86, -1.45])
 def confidence(finding: Finding, sigma: float) -> float:
     """Return the probability that a pose is right within a pixel, 0 to 1.
 
-    `sigma` is the largest standard deviation of a corner, px.
+    This is a logistic regression, times 1 − a/b with the leaving score a and the score b: one part
+    of the template may be an object, and the other the ground around it. `sigma` is the largest
+    standard deviation of a corner, px.
     """
     best, second = (np.log1p(max(s, 0.0)) for s in (finding.score, finding.second_score))
     displacement, spread = min(finding.displacement, 0.5), np.log(np.clip(sigma, 1e-3, 10.0))
     features = np.array([1.0, best - second, finding.inlier_ratio, displacement, spread])
-    return float(1.0 / (1.0 + np.exp(-COEFFICIENTS @ features)))
+    one_motion = max(0.0, 1.0 - finding.leaving_score / max(finding.score, TINY))
+    return float(one_motion / (1.0 + np.exp(-COEFFICIENTS @ features)))

@@ -40,6 +40,9 @@ class Finding:
         Pose, photometric parameters, weights and residuals.
     score, second_score : float
         Information (nats) in which the blocks agree; and that of the best pose elsewhere.
+    leaving_score : float
+        Information that the blocks have only at the pose to which most of the points go that do
+        not stay at this one; 0 if there is none.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
     displacement : float
@@ -49,6 +52,7 @@ class Finding:
     fit: PhotometricFit
     score: float
     second_score: float
+    leaving_score: float
     inlier_ratio: float
     displacement: float
 
@@ -174,17 +178,22 @@ class RobustSearch:
         beam = self._different(starts, scores)[: settings.beam]
         least = max([settings.least_score, *(settings.beam_share * scores[k] for k in beam)])
         for start in (starts[k] for k in beam if scores[k] >= least):
-            fit = self.align_photometric(view, start, self._best_blur(view, start))
+            fit = self._align_best_blur(view, start)
             fits = fits if fit is None else [*fits, fit]
         if not fits:
             return None
         scores = [fit.blocks.score() for fit in fits]
         best, *others = self._different([fit.pose for fit in fits], scores)
+        inlier_ratio, leaving = self._points.follow_from(view.layer(self._finest), fits[best].pose)
+        rival = None  # where what leaves this pose may be the template
+        if leaving is not None and self._score(view, leaving) >= settings.least_score:
+            rival = self._align_best_blur(view, leaving)
         return Finding(
             fit=fits[best],
             score=scores[best],
             second_score=scores[others[0]] if others else 0.0,
-            inlier_ratio=self._points.inlier_ratio(view.layer(self._finest), fits[best].pose),
+            leaving_score=0.0 if rival is None else fits[best].blocks.only_in(rival.blocks),
+            inlier_ratio=inlier_ratio,
             displacement=float(np.hypot(*self.displacement(pose, fits[best].pose)) / self.side),
         )
 
@@ -249,6 +258,10 @@ class RobustSearch:
         level = self._blurred[blur]
         grey, _, weight = level.patch(view.layer(self._finest), pose, view.saturation)
         return compare(grey, level.grey, weight, view.noise * level.noise).score()
+
+    def _align_best_blur(self, view: View, pose: Array) -> PhotometricFit | None:
+        """Align with the photometric model, with the template in the blur that agrees best."""
+        return self.align_photometric(view, pose, self._best_blur(view, pose))
 
     def _best_blur(self, view: View, pose: Array) -> int:
         """Return the blur of the template in which the blocks agree best at a pose."""

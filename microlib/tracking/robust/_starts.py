@@ -38,23 +38,37 @@ class PointFlow:
         self._error = _ERROR / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
-    def inlier_ratio(self, image: Image, pose: Array) -> float:
-        """Return the share of the points in view that stay when they are followed from a pose."""
+    def follow_from(self, image: Image, pose: Array) -> tuple[float, Array | None]:
+        """Follow the points from a pose.
+
+        Returns
+        -------
+        inlier_ratio : float
+            Share of the points in view that stay.
+        leaving : ndarray, shape (3, 3), or None
+            The pose, translated as most of the other points move, if enough do.
+        """
         here, there = self._followed(image, pose)
         last = np.subtract(image.shape[::-1], 1) / self._level.to_image[0, 0]
         in_view = ((here >= 0) & (here <= last)).all(axis=1)
         stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
-        return float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
+        inlier_ratio = float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
+        motion = self._motion(here[~stay], there[~stay], len(GENERATORS["translation"]))
+        return inlier_ratio, None if motion is None else motion @ pose
 
     def flow_pose(self, image: Image, pose: Array) -> Array | None:
         """Return the pose that most points agree in when they are followed from a pose."""
-        here, there = self._followed(image, pose)
+        motion = self._motion(*self._followed(image, pose), len(self._level.basis))
+        return None if motion is None else motion @ pose
+
+    def _motion(self, here: Array, there: Array, n: int) -> Array | None:
+        """Return the motion of `n` parameters that most points agree in, if enough do."""
         found = np.isfinite(there).all(axis=1)
         here, there = here[found].astype(np.float32), there[found].astype(np.float32)
         if len(here) < _FEWEST:
             return None
-        motion, inliers = _ransac(here, there, len(self._level.basis), self._error)
-        return None if motion is None or inliers.sum() < _FEWEST else motion @ pose
+        motion, inliers = _ransac(here, there, n, self._error)
+        return None if motion is None or inliers.sum() < _FEWEST else motion
 
     def _followed(self, image: Image, pose: Array) -> tuple[Array, Array]:
         """Return the points under a pose, and where they go, infinite where they are lost."""
