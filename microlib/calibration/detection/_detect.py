@@ -223,8 +223,10 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     Notes
     -----
     The direction is that of the sharpest mean profile of the image. The lines are the peaks of the
-    profile of the rows with the most contrast, and each line is at the centroid of its peak. The
-    spacing is the slope of a straight line through these positions over whole numbers.
+    profile of the rows with the most contrast, and each line is at the centroid of its peak. Lines
+    less than two fifths of a division from an edge of the image are left out, as the edge moves
+    their centroids. The spacing is the slope of a straight line through these positions over whole
+    numbers.
 
     Examples
     --------
