@@ -78,7 +78,7 @@ format: $(STAMP) ## format the code and strip the notebooks
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/nbstripout --keep-id notebooks/*.ipynb
 
-data: $(STAMP) ## write the files of data/synthetic again, byte by byte the same
+data: $(STAMP) ## write the files of data/synthetic again, byte-identical
 	@$(BIN)/python -m data.synthetic.make
 
 benchmarks: $(STAMP) ## compare microlib with other tools (about an hour; prints the time, keeps finished results)

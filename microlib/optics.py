@@ -303,7 +303,7 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     -----
     Each pixel sees the kernel of its own blur (a gather), so a step in height does not occlude
     what lies behind it. A map of blur is applied by cubic interpolation in
-    :math:`\\sigma^2` between images with constant blurs, whose ratio is 1.15.
+    :math:`\\sigma^2` between images with constant blurs, each 1.15 times the previous one.
 
     Examples
     --------

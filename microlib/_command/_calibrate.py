@@ -99,7 +99,7 @@ def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
         a.note(f"the model does not fit the points: {suspects}{more}")
     if np.isnan(result.misfit):
         a.note(
-            "too few marks to test whether the model fits: its errors are not in the intervals; "
+            "too few marks to test whether the model fits: the intervals contain only noise; "
             "photograph more marks"
         )
     if result.interval("magnification")[0] <= 0:

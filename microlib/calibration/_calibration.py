@@ -73,11 +73,12 @@ class Calibration(Result):
     misfit : float
         Size of the smooth part of the residuals over its size by noise alone, the root of the
         ratio of the lack-of-fit F test. About one for an adequate model, NaN for fewer than 24
-        points.
+        marks.
     p_value : float
-        Probability of a larger misfit by noise alone. Below 0.1 the covariance includes the model
-        discrepancy, for example another distortion or a bent pattern. It is assumed to be as large
-        in the directions that the parameters absorb as in those that the residuals show.
+        Probability of a larger misfit by noise alone, 1 if `misfit` is NaN. Below 0.1 the
+        covariance includes the model discrepancy, for example another distortion or a bent pattern.
+        It is assumed to be as large in the directions that the parameters absorb as in those that
+        the residuals show.
     views : tuple of Microscope
         Microscope of each view; the first one is `microscope`.
     held_out : ndarray, shape (V,)
@@ -121,15 +122,15 @@ class Calibration(Result):
         if not self.adequate:
             lines.append(f"  the model is not adequate: misfit {self.misfit:.3g}")
         elif np.isnan(self.misfit):
-            lines.append("  too few points to test whether the model is adequate")
+            lines.append("  too few marks to test whether the model is adequate")
         return "\n".join(lines)
 
     @property
     def adequate(self) -> bool:
         """False if the residuals contradict the model: `p_value` is below 0.001.
 
-        It is True where the points are too few for a test. `misfit` is then NaN, and the intervals
-        contain no error of the model, such as a second distortion coefficient.
+        It is True where the marks are too few for a test. `misfit` is then NaN, and the intervals
+        contain no error of the model, such as distortion of a higher order.
         """
         return self.p_value >= 1e-3
 

@@ -36,11 +36,11 @@ class ESMTracker:
     position.
 
     An object that resembles the template lowers the probability. So does a part of the template
-    that moves differently from the rest, such as an object in front of ground at rest. A visible
-    template may therefore be reported as lost. If most of the texture in the box is ground, the
-    ground may be tracked instead of the object: the box should show little of it. The motion of a
-    periodic texture by a whole period cannot be distinguished from rest. Motion by nearly a whole
-    period looks like a small motion in the opposite direction.
+    that moves differently from the rest, such as an object in front of a static background. A
+    visible template may therefore be reported as lost. If most of the texture in the box is
+    background, the background may be tracked instead of the object: the box should show little of
+    it. The motion of a periodic texture by a whole period cannot be distinguished from rest.
+    Motion by nearly a whole period looks like a small motion in the opposite direction.
 
     Parameters
     ----------

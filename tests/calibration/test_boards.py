@@ -286,7 +286,7 @@ def test_sublattice_is_rejected_by_its_correlation(monkeypatch):
 
 
 def test_corners_that_coincide_are_no_board():
-    """Their map has no area, by which a photograph of a ChArUco board gave a division by zero."""
+    """A cell between them has no area; a photograph of a board led to a division by it."""
     grey = np.random.default_rng(0).normal(100, 20, (80, 100)).astype(np.float32)
     centers, grid = np.repeat([[10.0, 10], [20, 20]], 2, axis=0), np.indices((2, 2)).reshape(2, 4).T
     with pytest.raises(ValueError, match="no corner of a board is left"):

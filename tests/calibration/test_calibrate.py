@@ -402,12 +402,12 @@ def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large(disto
 
 
 def test_fit_of_few_points_says_that_the_model_is_not_tested():
-    """A photograph of 17 corners counted as adequate, although nothing had tested it."""
+    """With 17 corners nothing can be tested: `adequate` stays True, and the summary says so."""
     (world,), (image,) = lens_views(1)
     many, few = calibrate(world, image, **CAMERA), calibrate(world[::5], image[::5], **CAMERA)
     assert np.isnan(few.misfit)
     assert few.adequate
-    assert "too few points to test whether the model is adequate" in repr(few)
+    assert "too few marks to test whether the model is adequate" in repr(few)
     assert "too few" not in repr(many)
 
 

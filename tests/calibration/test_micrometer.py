@@ -71,13 +71,15 @@ def test_line_that_the_edge_of_the_image_cuts_is_left_out(cut):
     image = np.tile(profile, (60, 1)) + np.random.default_rng(2).normal(0, 2, (60, 300))
     turn = cv2.getRotationMatrix2D((150, 30), 0.3, 1.0)
     found = detect_micrometer(cv2.warpAffine(image, turn, (300, 60), borderMode=cv2.BORDER_REFLECT))
-    assert found.spacing == pytest.approx(spacing, rel=3e-4)
+    assert found.points[:, 0].min() > spacing / 3
+    # Noise moves it by up to 0.02 px; a line that is cut by a fifth would by 0.17 px.
+    assert found.spacing == pytest.approx(spacing, abs=0.06)
 
 
 def test_diagonal_lines_in_a_long_strip_are_refused_without_a_warning():
-    """Half of no row of the turned strip is image, of which NumPy warned."""
+    """Most of every row of the turned strip lies outside the image, of which NumPy warned."""
     y, x = np.mgrid[:60, :600]
-    with pytest.raises(ValueError, match="got no row across them"):
+    with pytest.raises(ValueError, match="got no row of pixels that crosses the lines"):
         detect_micrometer(128 + 60 * np.sin((x + y) * 2 * np.pi / 20))
 
 

@@ -268,13 +268,13 @@ def test_gripper_that_moves_by_most_of_its_box_is_found_at_the_right_place_or_re
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_gripper_in_little_noise_is_found_at_the_right_place_or_reported_lost(noise):
-    """Two thirds of the box show ground, which rests and therefore fits without interpolation."""
+    """Two thirds of the box are static background, which no interpolation has changed."""
     for seed in range(10, 14):
         rng = np.random.default_rng(seed)
         scene = gripper_scene(rng, pixel_size=1.55)
         tracker = ESMTracker(scene.frame((0, 0), rng, noise=noise), scene.box(90), "translation")
         track = tracker.track(scene.frame((11.0, 1.0), rng, noise=noise))
-        # The ground pulls the position by up to 0.1 px.
+        # The background pulls the position by up to 0.1 px.
         assert track.lost or np.abs(track.corners[0] - scene.box(90)[:2] - (11, 1)).max() < 0.5
 
 

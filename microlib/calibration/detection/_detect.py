@@ -218,7 +218,8 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     Raises
     ------
     ValueError
-        If `image` is no image, or shows no scale of at least five equidistant lines.
+        If `image` is no image, or shows no scale of at least five equidistant lines away from its
+        edges.
 
     Notes
     -----

@@ -100,20 +100,20 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
 
 def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tuple[int, int]]:
     """The rows that cross the lines, the darkness of their mean profile, and the first and the last
-    column that the image contains.
+    column in which most of these rows lie in the image.
 
     The darkness is from 0 to 1 between the envelopes of the profile, which follow uneven light.
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
-    # Half of no row is image where a long strip is turned by 45°.
+    # In a long strip that is turned by 45°, most of every row lies outside the image.
     known = change[np.isfinite(change)]
     rows = change >= (known.min() + known.max()) / 2 if len(known) else np.isfinite(change)
     profile = _mean(upright[rows])
     columns = np.flatnonzero(np.isfinite(profile))
     if not len(columns):
-        raise _no_scale("no row across them")
+        raise _no_scale("no row of pixels that crosses the lines and lies mostly in the image")
     profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
     size = len(profile) // 4
     low, high = (
@@ -128,7 +128,8 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
 def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
 
-    A line that the first or last column `within` the image cuts has another centroid: left out.
+    Peaks less than `_REACH` divisions from the first or the last column `within` the image are left
+    out, because the edge would move their centroids.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
@@ -145,7 +146,7 @@ def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
     run = slice(ends[longest], ends[longest + 1])
     kept = places[run]
     if len(kept) < max(5, 3 / 4 * len(places)):  # five lines leave three residuals
-        raise _no_scale(f"{len(kept)} of {len(places)} lines")
+        raise _no_scale(f"{len(kept)} of {len(places)} lines that lie away from the image's edges")
     return kept, float(np.diff(kept).sum() / np.round(steps[run][: len(kept) - 1]).sum())
 
 

@@ -101,7 +101,8 @@ def fit_marks(marks: Marks, grid: NDArray[np.intp], steps: Array, kind: str) -> 
         good &= fit.rms <= 3 * np.median(fit.rms[good])
         good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 20)
     if good.sum() < MIN_MARKS:
-        shown = f"a grid of whole {kind}" if model.smooth else f"the corners of a {kind}"
+        board = "ChArUco board" if kind == "charuco" else kind
+        shown = f"a grid of whole {kind}" if model.smooth else f"the corners of a {board}"
         raise ValueError(f"image must show {shown}, got {int(good.sum())} that fit")
     fit = smooth_parameters(fit[good], model.smooth, marks.settings)
     points, sigma, ellipses = model.locate(fit)

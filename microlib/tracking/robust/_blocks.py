@@ -70,15 +70,17 @@ class Blocks:
         """Return the information (nats) in which template and image agree, of all blocks."""
         return float(self.scores().sum())
 
-    def only_in(self, other: Blocks) -> float:
-        """Return the information (nats) that the blocks have only at another pose."""
+    def excess_in(self, other: Blocks) -> float:
+        """Return how much more (nats) the blocks agree at another pose, of those that do."""
         return float(np.maximum(other.scores() - self.scores(), 0).sum())
 
     def scores(self) -> Array:
         """Return the information (nats) in which each block of the template agrees with the image.
 
         A block with the correlation ρ and the gain a has −½ ln(1 − ρ²) − ¼ − (Δ ln a)², if that is
-        positive, and less if its residual exceeds the noise; Δ is to the median of all blocks.
+        positive, times its visible share, divided by 1 + u/9e. Δ is to the median of all blocks, u
+        is the variance that the template does not explain, and e the one that is expected of noise
+        and interpolation.
         """
         information = -0.5 * np.log1p(-self.square)
         gain = np.log(np.maximum(self.tg, TINY) / self.tt)
@@ -93,7 +95,7 @@ class Blocks:
         textures = np.clip(self.gg / self.noise - 1, 0, _LARGEST_WEIGHT) * self.visible
         texture = textures.sum()
         weight = textures / max(texture, TINY)
-        # Interpolation leaves 2 % of a block's variance.
+        # Interpolation leaves at most 2 % of a block's variance.
         agrees = self.unexplained <= 3 * self.noise + 0.02 * self.gg
         # About the one gain and bias of all blocks together.
         share = self.count / max(self.count.sum(), TINY)

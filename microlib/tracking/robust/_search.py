@@ -40,9 +40,9 @@ class Finding:
         Pose, photometric parameters, weights and residuals.
     score, second_score : float
         Information (nats) in which the blocks agree; and that of the best pose elsewhere.
-    leaving_score : float
-        Information that the blocks have only at the pose to which most of the points go that do
-        not stay at this one; 0 if there is none.
+    second_motion_score : float
+        How much more some blocks agree at the pose to which other points of the template move
+        together, nats, summed over these blocks; 0 if there is no such pose.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
     displacement : float
@@ -52,7 +52,7 @@ class Finding:
     fit: PhotometricFit
     score: float
     second_score: float
-    leaving_score: float
+    second_motion_score: float
     inlier_ratio: float
     displacement: float
 
@@ -184,15 +184,12 @@ class RobustSearch:
             return None
         scores = [fit.blocks.score() for fit in fits]
         best, *others = self._different([fit.pose for fit in fits], scores)
-        inlier_ratio, leaving = self._points.follow_from(view.layer(self._finest), fits[best].pose)
-        rival = None  # where what leaves this pose may be the template
-        if leaving is not None and self._score(view, leaving) >= settings.least_score:
-            rival = self._align_best_blur(view, leaving)
+        inlier_ratio, moved = self._points.follow_from(view.layer(self._finest), fits[best].pose)
         return Finding(
             fit=fits[best],
             score=scores[best],
             second_score=scores[others[0]] if others else 0.0,
-            leaving_score=0.0 if rival is None else fits[best].blocks.only_in(rival.blocks),
+            second_motion_score=self._second_motion_score(view, fits[best], moved),
             inlier_ratio=inlier_ratio,
             displacement=float(np.hypot(*self.displacement(pose, fits[best].pose)) / self.side),
         )
@@ -258,6 +255,19 @@ class RobustSearch:
         level = self._blurred[blur]
         grey, _, weight = level.patch(view.layer(self._finest), pose, view.saturation)
         return compare(grey, level.grey, weight, view.noise * level.noise).score()
+
+    def _second_motion_score(self, view: View, fit: PhotometricFit, start: Array | None) -> float:
+        """Return how much more some blocks agree where other points move together, nats.
+
+        That pose only causes doubt and is never accepted: which of two parts that move differently
+        is the object cannot be known.
+        """
+        if start is None or self._score(view, start) < self.settings.least_score:
+            return 0.0
+        other = self._align_best_blur(view, start)
+        if other is None or len(self._different([fit.pose, other.pose], [1.0, 0.0])) == 1:
+            return 0.0
+        return fit.blocks.excess_in(other.blocks)
 
     def _align_best_blur(self, view: View, pose: Array) -> PhotometricFit | None:
         """Align with the photometric model, with the template in the blur that agrees best."""

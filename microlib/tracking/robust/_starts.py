@@ -45,15 +45,17 @@ class PointFlow:
         -------
         inlier_ratio : float
             Share of the points in view that stay.
-        leaving : ndarray, shape (3, 3), or None
-            The pose, translated as most of the other points move, if enough do.
+        moved : ndarray, shape (3, 3), or None
+            The pose, moved by the translation that most of the other points in view share, if at
+            least eight do.
         """
         here, there = self._followed(image, pose)
         last = np.subtract(image.shape[::-1], 1) / self._level.to_image[0, 0]
         in_view = ((here >= 0) & (here <= last)).all(axis=1)
         stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
         inlier_ratio = float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
-        motion = self._motion(here[~stay], there[~stay], len(GENERATORS["translation"]))
+        leave = in_view & ~stay
+        motion = self._motion(here[leave], there[leave], len(GENERATORS["translation"]))
         return inlier_ratio, None if motion is None else motion @ pose
 
     def flow_pose(self, image: Image, pose: Array) -> Array | None:
