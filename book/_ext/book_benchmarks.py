@@ -140,6 +140,9 @@ class Benchmarks(SphinxDirective):
         )
         if record["note"]:
             self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
+        if missed := [each[:3] for each in record["limits"] if each[3] == "no"]:
+            result += line("These limits do not hold; the page Benchmarks lists all limits.")
+            result += table(["quantity", "measured", "limit"], missed)
         for title, content in record["tables"].items():
             rows = [[show(value) for value in row] for row in content["data"]]
             whole = table([str(column) for column in content["columns"]], rows)

@@ -1,5 +1,6 @@
 """The built book: whole in its own folder, every link alive, and well in a real browser."""
 
+import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -92,3 +93,11 @@ def test_every_benchmark_is_on_a_page_of_its_subject(pages: dict[Path, Links]) -
     ids = {name for path, page in pages.items() if "benchmarks_" in path.name for name in page.ids}
     for result in (ROOT / "benchmarks" / "results").glob("*.json"):
         assert f"benchmark-{result.stem.replace('_', '-')}" in ids, result.name
+
+
+def test_missed_limit_is_on_the_page_of_its_benchmark_with_its_size(html: Path) -> None:
+    page = (html / "benchmarks_focus.html").read_text(encoding="utf-8")
+    record = json.loads((ROOT / "benchmarks" / "results" / "focus_speed.json").read_text("utf-8"))
+    for what, measured, _, holds in record["limits"]:
+        row = f'<p>{what}</p></td>\n<td class="number"><p>{measured}</p>'
+        assert (row in page) == (holds == "no"), what
