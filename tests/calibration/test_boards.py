@@ -172,6 +172,14 @@ def test_all_inner_corners_of_a_chessboard_are_detected(change):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
+def test_no_corner_of_a_chessboard_without_blur_is_lost():
+    """The fit of a corner converges slowly where its blur is zero, and ended before."""
+    fields = np.indices((9, 10)).sum(axis=0) % 2
+    for side in range(8, 33, 4):
+        drawing = np.pad(np.kron(255.0 * fields, np.ones((side, side))), side, constant_values=128)
+        assert len(detect_squares(drawing, pattern="chessboard").points) == 72
+
+
 def test_random_chessboards_are_indexed_without_skipped_fields():
     """Ten boards; at 0.4.0 one in five had a sublattice, with steps of (2, 1) fields."""
     rng = np.random.default_rng(12)

@@ -43,7 +43,8 @@ class Settings:
     max_iterations : int
         Iterations of a fit. Nine of ten rendered outlines are at their minimum after 5; one in ten
         photographed circles needs more than 15, and one in five corners of photographed chessboards
-        more than 25.
+        more than 25. One in a hundred corners of drawings without blur needs more than 50, because
+        the derivative by the blur is zero there.
     shape_iterations : int
         Iterations after which circles and squares are compared. The right shape is then at its
         minimum, and the other far above.
@@ -85,7 +86,7 @@ class Settings:
     max_skew: float = 0.1
     min_fill: float = 0.6
     initial_blur: float = 1.2
-    max_iterations: int = 50
+    max_iterations: int = 100
     shape_iterations: int = 12
     cost_tolerance: float = 1e-6
     max_chi2_deviation: float = 6.0
