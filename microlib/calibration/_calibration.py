@@ -77,8 +77,8 @@ class Calibration(Result):
     p_value : float
         Probability of a larger misfit by noise alone, 1 if `misfit` is NaN. Below 0.1 the
         covariance includes the model discrepancy, for example another distortion or a bent pattern.
-        It is assumed to be as large in the directions that the parameters absorb as in those that
-        the residuals show.
+        The part of it that changes the parameters is assumed to be as large as the part that
+        remains in the residuals.
     views : tuple of Microscope
         Microscope of each view; the first one is `microscope`.
     held_out : ndarray, shape (V,)

@@ -172,7 +172,7 @@ def test_all_inner_corners_of_a_chessboard_are_detected(change):
     np.testing.assert_array_equal(found.positions, found.grid)
 
 
-def test_no_corner_of_a_chessboard_without_blur_is_lost():
+def test_all_corners_of_an_unblurred_chessboard_are_detected():
     """The fit of a corner converges slowly where its blur is zero, and ended before."""
     fields = np.indices((9, 10)).sum(axis=0) % 2
     for side in range(8, 33, 4):

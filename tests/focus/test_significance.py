@@ -71,7 +71,7 @@ BAD = ("black", "white", "frozen", "brighter", "with a reflection", "darker", "b
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_one_bad_frame_is_left_out_and_other_heights_are_accurate(kind: str) -> None:
+def test_bad_frame_is_left_out_and_the_depth_is_accurate(kind: str) -> None:
     """Five stacks each; at 0.4.0 up to all of the bare ground had a certain depth."""
     rng = np.random.default_rng(BAD.index(kind))
     shares: dict[str, list] = {measure: [] for measure in NAMES}

@@ -71,7 +71,7 @@ class Blocks:
         return float(self.scores().sum())
 
     def excess_in(self, other: Blocks) -> float:
-        """Return how much more (nats) the blocks agree at another pose, of those that do."""
+        """Return the gain in information (nats) at another pose, summed over blocks with a gain."""
         return float(np.maximum(other.scores() - self.scores(), 0).sum())
 
     def scores(self) -> Array:

@@ -265,7 +265,7 @@ class RobustSearch:
         if start is None or self._score(view, start) < self.settings.least_score:
             return 0.0
         other = self._align_best_blur(view, start)
-        if other is None or len(self._different([fit.pose, other.pose], [1.0, 0.0])) == 1:
+        if other is None or not self._apart(fit.pose, other.pose):
             return 0.0
         return fit.blocks.excess_in(other.blocks)
 
@@ -278,10 +278,14 @@ class RobustSearch:
         blurs = range(len(self._blurred))
         return max(blurs, key=lambda blur: self._score(view, pose, blur))
 
+    def _apart(self, pose: Array, other: Array) -> bool:
+        """Return whether two poses are over 3 px of the finest level apart."""
+        return self.distance(pose, other) > 3 * self._scale
+
     def _different(self, poses: list[Array], scores: list[float]) -> list[int]:
-        """Return the numbers of poses over 3 px of the finest level apart, the best first."""
+        """Return the numbers of the poses that are apart from all better ones, the best first."""
         found: list[int] = []
         for k in sorted(range(len(poses)), key=lambda k: -scores[k]):
-            if all(self.distance(poses[k], poses[n]) > 3 * self._scale for n in found):
+            if all(self._apart(poses[k], poses[n]) for n in found):
                 found.append(k)
         return found
