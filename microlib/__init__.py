@@ -18,6 +18,7 @@ _SUBJECTS = (
     "calibration",
     "curvature",
     "embryo",
+    "estimate",
     "focus",
     "io",
     "membrane",

@@ -55,6 +55,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import microlib
+from microlib._common import Result
 from microlib.membrane import SmallSlopeWarning
 
 #: By how much each unit is changed: no power of two, and no product of few others.
@@ -76,14 +77,18 @@ WITHOUT = {"to_dict", "to_frame", "to_xarray", "plot"}
 
 
 def public() -> Iterator[str]:
-    """Yield the name of every public callable, and of every public method of a public class."""
+    """Yield the name of every public callable, and of every public method of a public class.
+
+    But for the class of a result, which functions return.
+    """
     for room in (m.name for m in pkgutil.iter_modules(microlib.__path__) if m.name[0] != "_"):
         module = importlib.import_module(f"microlib.{room}")
         for name in module.__all__:
             value = getattr(module, name)
             if not callable(value) or f"{room}.{name}" in NOT_CALLED:
                 continue
-            yield f"{room}.{name}"
+            if not (inspect.isclass(value) and issubclass(value, Result)):  # nobody makes a result
+                yield f"{room}.{name}"
             for method, found in vars(value).items() if inspect.isclass(value) else ():
                 function = getattr(found, "__func__", found)
                 open_to_all = method == "__call__" or method[0] != "_"

@@ -1,4 +1,4 @@
-"""Argument checks, array types, covariances, files and results for all packages."""
+"""Argument checks, array types, least squares, image noise, files and results for all packages."""
 
 from microlib._common._checks import (
     MEASURED,
@@ -22,7 +22,17 @@ from microlib._common._checks import (
     scalar,
     whole,
 )
-from microlib._common._covariance import inverse_normal
 from microlib._common._files import SOFTWARE, home_path, replace_file
+from microlib._common._least_squares import (
+    MAD_TO_STD,
+    TUKEY_LIMIT,
+    NormalEquations,
+    gauss_newton,
+    inverse_normal,
+    inverse_symmetric,
+    robust_std,
+    tukey_weights,
+)
+from microlib._common._noise import image_noise, saturation_level
 from microlib._common._results import Result, Tidy, flat_row
 from microlib._common._types import Array, Frames, Image, Region

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from microlib._common import Array, Image
+from microlib._common import Array, Image, image_noise, saturation_level
 from microlib.tracking._geometry import TINY
 
 #: Lagrange's interpolation half-way between six equidistant samples, exact for quintic polynomials.
@@ -21,14 +21,6 @@ _DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
 #: OpenCV before version 5 rounds the places between pixels to 1/32 px. That costs nothing but at
 #: the last level, which is not smoothed: there it leaves 0.008 instead of 0.004 px.
 _ROUNDS = int(cv2.__version__.split(".")[0]) < 5
-
-#: Second differences along both axes; white noise keeps its variance, and a plane, or an edge along
-#: an axis, vanishes (Immerkær 1996).
-_SECOND_DIFFERENCE = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6
-
-#: Root mean square of the flattest tenth of tiles of 8 px, of white noise: simulated on 100 images
-#: of 180×180 px, 0.792 ± 0.001.
-_QUANTILE_OF_WHITE = 0.792
 
 
 class View:
@@ -49,53 +41,11 @@ class View:
 
     @cached_property
     def noise(self) -> float:
-        return max(noise_of(self.image), self._least_noise)
+        return max(image_noise(self.image), self._least_noise)
 
     @cached_property
     def saturation(self) -> float:
         return saturation_level(self.image, self.noise)
-
-
-def noise_of(image: Image) -> float:
-    """Return the standard deviation of the noise of an image, from its smoothest tiles.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from microlib.tracking._sampling import noise_of
-    >>> grey = 100 + np.random.default_rng(0).normal(0, 2, (120, 120))
-    >>> abs(noise_of(grey.astype(np.float32)) - 2) < 0.1
-    True
-    """
-    side = 8
-    if min(image.shape) < 2 * side:
-        return 0.0
-    square = cv2.filter2D(image, -1, _SECOND_DIFFERENCE) ** 2
-    saturated = (image >= saturation_level(image, 0.0)).astype(np.float32)
-    means = [cv2.blur(one, (side, side))[6:-4:side, 6:-4:side] for one in (square, saturated)]
-    tiles = means[0][means[1] == 0]
-    if not tiles.size:
-        return 0.0
-    return float(np.sqrt(max(np.quantile(tiles, 1 / 10), 0.0))) / _QUANTILE_OF_WHITE
-
-
-def saturation_level(image: Image, noise: float) -> float:
-    """Return the grey value from which on pixels count as saturated; infinite if none is.
-
-    The sensor's limit is a largest value of 25 px or more; less noise may have been cut off there.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from microlib.tracking._sampling import saturation_level
-    >>> saturation_level(np.minimum(np.arange(400.0), 255).reshape(20, 20), 2.0)
-    250.0
-    >>> saturation_level(np.arange(400.0).reshape(20, 20), 2.0)
-    inf
-    """
-    largest = float(image.max())
-    plateau = np.count_nonzero(image == largest) >= 25
-    return largest - 2.5 * noise if plateau else np.inf
 
 
 def half_pixel(image: Image) -> Image:
