@@ -27,14 +27,14 @@ QUICK = [name for name in NAMES if name not in fuzz.SLOW]
 #: Numbers of either sign. All others are refused below zero, and at zero unless they may be zero.
 SIGNED = {"x", "distortion", "alpha", "beta", "gamma", "tilt", "tx", "ty", "u", "mean"}
 MAY_BE_ZERO = SIGNED | {
-    "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "innovation_gain", "jitter",
+    "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "jitter",
     "k", "k_zero", "latency", "noise", "poisson_ratio", "pressure", "pretension", "rim_inset",
     "rng", "roughness", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
 }  # fmt: skip
 #: Further numbers that are out of the range of an argument, in every function.
 OUT_OF_RANGE: dict[str, float] = {
     "band": 1.0, "bright": 255.5, "dark": 255.5, "degree": 3, "inflation": 0.9,
-    "innovation_gain": 1.1, "level": 1.0, "poisson_ratio": 0.6, "rim_inset": 0.6, "span": 1.2,
+    "level": 1.0, "poisson_ratio": 0.6, "rim_inset": 0.6, "span": 1.2,
     "terms": 21, "tilt": 4.0, "unevenness": 0.6, "vignetting": 1.1,
     "window": 4,  # not odd
 }  # fmt: skip

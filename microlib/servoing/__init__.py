@@ -2,7 +2,6 @@
 
 from microlib.servoing._control import (
     OptimalController,
-    PredictiveController,
     ibvs_control,
     loop_poles,
     optimal_control,
@@ -18,7 +17,6 @@ __all__ = [
     "Camera",
     "MicroManager",
     "OptimalController",
-    "PredictiveController",
     "SimulatedWorkstation",
     "Stage",
     "ibvs_control",

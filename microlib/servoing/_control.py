@@ -277,7 +277,6 @@ class OptimalController:
         step = scalar("interval", interval, above=0) * matrix
         q = _weight("feature_weight", feature_weight, matrix.shape[0])
         weight = _weight("control_weight", control_weight, matrix.shape[1])
-        self._step = step
         self.gain = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
 
     def __call__(self, k: int, measured: Array, reference: Array) -> Array:
@@ -285,131 +284,14 @@ class OptimalController:
 
         `measured` has the shape (m,), or (N, m) for N runs at once, which gives N velocities.
         """
-        measured, reference = _checked_sample(k, measured, reference, self.gain.shape[1])
-        error = reference[min(k + 1, len(reference) - 1)] - measured
-        return np.where(_seen(measured), error, 0.0) @ self.gain.T
-
-
-class PredictiveController(OptimalController):
-    """Controller that compensates the delay of the loop by a prediction.
-
-    The controller is a Smith predictor with an observer. It predicts the feature from frame to
-    frame with its own commands and corrects the prediction by a share of the innovation. The
-    controller then applies (2.28) to the predicted feature and to the reference at the time when
-    the command takes effect. With an exact Jacobian the delay does not affect the stability. The
-    observer averages the noise. If the feature is lost in a frame, the prediction replaces the
-    measurement.
-
-    Parameters
-    ----------
-    jacobian, interval, feature_weight, control_weight
-        As in `OptimalController`.
-    delay : float
-        Time from an exposure until the command that follows from it takes effect, s.
-    saturation : float
-        Maximum speed of the stage, µm/s. Commands are limited to this speed before they enter the
-        prediction.
-    innovation_gain : float, optional
-        Share of the innovation, the difference between measured and expected feature, that corrects
-        the estimate, from 0 to 1. With 1 the estimate equals the measurement. A small share
-        averages the noise. A large share corrects the errors of a wrong Jacobian sooner. With a
-        jitter of 0.15 px and a Jacobian known to 1 % and 1°, the mean error on a path is within 20
-        % of the smallest one for values from 0.2 to 0.6 (servoing benchmark, "Innovation gain").
-
-    Raises
-    ------
-    ValueError
-        As `optimal_control`, and if the delay is negative, the saturation is not positive, or the
-        innovation gain is not in [0, 1].
-
-    Examples
-    --------
-    With a delay of one sample, the controller does not repeat a command that has not taken
-    effect yet:
-
-    >>> import numpy as np
-    >>> from microlib.servoing import PredictiveController
-    >>> control = PredictiveController(
-    ...     np.eye(2), interval=0.5, feature_weight=(1, 1), control_weight=(1e-9, 1e-9),
-    ...     delay=0.5, saturation=100.0,
-    ... )
-    >>> target = np.full((9, 2), 3.0)
-    >>> control(0, np.zeros(2), target).round(3), control(1, np.zeros(2), target).round(3)
-    (array([6., 6.]), array([0., 0.]))
-    """
-
-    def __init__(
-        self,
-        jacobian: ArrayLike,
-        *,
-        interval: float,
-        feature_weight: ArrayLike,
-        control_weight: ArrayLike,
-        delay: float,
-        saturation: float,
-        innovation_gain: float = 0.3,
-    ) -> None:
-        super().__init__(
-            jacobian,
-            interval=interval,
-            feature_weight=feature_weight,
-            control_weight=control_weight,
-        )
-        self._delay = scalar("delay", delay, least=0) / scalar("interval", interval, above=0)
-        self._limit = scalar("saturation", saturation, above=0)
-        self._innovation_gain = scalar("innovation_gain", innovation_gain, least=0, most=1)
-        self._part = self._delay - int(self._delay)
-        self._begin(())
-
-    def _begin(self, runs: tuple[int, ...]) -> None:
-        """Forget the run before, and prepare for the shape of the runs that begin."""
-        features, motions = self._step.shape
-        # Commands not yet executed in full, oldest first.
-        self._pending = np.zeros((int(self._delay) + 1, *runs, motions))
-        self._estimate = np.full((*runs, features), np.nan)
-
-    def __call__(self, k: int, measured: Array, reference: Array) -> Array:
-        """Return the velocity for sample `k`, µm/s; a run begins with sample 0.
-
-        `measured` has the shape (m,), or (N, m) for N runs at once, which gives N velocities.
-        """
-        measured, reference = _checked_sample(k, measured, reference, len(self._step))
-        if k == 0:
-            self._begin(measured.shape[:-1])
-        as_array("measured", measured, shape=self._estimate.shape, finite=False)
-        last = len(reference) - 1.0
-        when = min(k + 1 + self._delay, last)
-        before = int(when)
-        after = min(before + 1, int(last))
-        target = reference[before] + (when - before) * (reference[after] - reference[before])
-        predicted = self._estimate
-        corrected = predicted + self._innovation_gain * (measured - predicted)
-        corrected = np.where(np.isfinite(predicted), corrected, measured)
-        estimate = np.where(_seen(measured), corrected, predicted)
-        coming = self._part * self._pending[0] + self._pending[1:].sum(axis=0)
-        ahead = estimate + coming @ self._step.T
-        error = np.where(_seen(estimate), target - ahead, 0.0)
-        command = np.clip(error @ self.gain.T, -self._limit, self._limit)
-        pending = np.concatenate([self._pending, command[None]])
-        moved = self._part * pending[0] + (1.0 - self._part) * pending[1]  # until the next sample
-        self._estimate = estimate + moved @ self._step.T
-        self._pending = pending[1:]
-        return command
-
-
-def _seen(feature: Array) -> NDArray[np.bool_]:
-    """Return whether each feature is known, shape (..., 1)."""
-    return np.asarray(np.isfinite(feature).all(axis=-1, keepdims=True))
-
-
-def _checked_sample(k: int, measured: Array, reference: Array, size: int) -> tuple[Array, Array]:
-    """Check what a controller is called with; a lost measurement is NaN."""
-    whole("k", k, least=0)
-    found = as_array("measured", measured, finite=False)
-    return (
-        as_array("measured", found, shape=(*found.shape[:-1], size), finite=False),
-        as_array("reference", reference, shape=(None, size)),
-    )
+        features = self.gain.shape[1]
+        measured = as_array("measured", measured, finite=False)
+        shape = (*measured.shape[:-1], features)
+        measured = as_array("measured", measured, shape=shape, finite=False)
+        reference = as_array("reference", reference, shape=(None, features))
+        error = reference[min(whole("k", k, least=0) + 1, len(reference) - 1)] - measured
+        seen = np.isfinite(measured).all(axis=-1, keepdims=True)
+        return np.where(seen, error, 0.0) @ self.gain.T
 
 
 def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:

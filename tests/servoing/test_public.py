@@ -28,22 +28,9 @@ def weighted(u) -> dict:
     }
 
 
-def predicting(u) -> dict:
-    late = {"delay": 0.04 * u.s, "saturation": 300.0 * u.um / u.s, "innovation_gain": 0.4}
-    return weighted(u) | late
-
-
 def sample(u) -> dict:
     origin = np.array([u.x0, u.y0])
     return {"k": 2, "measured": origin + STEP * u.px, "reference": origin + PATH * u.px}
-
-
-def used(u) -> servoing.PredictiveController:
-    """Return a controller that has seen two frames, and one without the feature."""
-    control, reference = servoing.PredictiveController(**predicting(u)), sample(u)["reference"]
-    for k, seen in enumerate((reference[0], reference[1] + 2 * u.px, np.full(2, np.nan))):
-        control(k, seen, reference)
-    return control
 
 
 def stage(u) -> servoing.Stage:
@@ -133,9 +120,6 @@ LAWS = {
     "servoing.OptimalController": Row(weighted, {"gain": um / s / px}),
     "servoing.OptimalController.__call__": Row(
         lambda u: {"self": servoing.OptimalController(**weighted(u)), **sample(u)}, um / s),
-    "servoing.PredictiveController": Row(predicting, {"gain": um / s / px}),
-    "servoing.PredictiveController.__call__": Row(lambda u: {"self": used(u), **sample(u)}, um / s,
-        laws=GOES_ON),
     "servoing.SimulatedWorkstation": Row(lambda u: {"u": u, "workstation": begun(u)},
         (um.counted_from("x0_um", "y0_um"), s.counted_from("t0"), s.counted_from("t0"), XY),
         laws=GOES_ON, call=driven),
