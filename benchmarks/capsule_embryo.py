@@ -200,15 +200,15 @@ def draw_of_model(rng: np.random.Generator) -> SimpleNamespace:
     )
 
 
-def by_library(scene: Any, method: str) -> tuple[float, float, Any]:
+def by_library(scene: Any) -> tuple[float, float, Any]:
     """Return modulus, relative deviation and the whole estimate."""
     names = ("pixel_size", "thickness", "probe_half_width")
     sizes = {name: getattr(scene, name) for name in names}
-    found = modulus_from_image(scene.image, scene.force, **sizes, poisson_ratio=0.5, method=method)
+    found = modulus_from_image(scene.image, scene.force, **sizes, poisson_ratio=0.5)
     return found.modulus, found.relative_std, found
 
 
-def by_thesis(scene: Any, _: str) -> tuple[float, float, None]:
+def by_thesis(scene: Any) -> tuple[float, float, None]:
     """Return modulus and relative deviation of LOESS, (5.1) and (5.3)."""
     dimple = thesis_dimple(extract_boundary(scene.image))
     sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
@@ -217,11 +217,11 @@ def by_thesis(scene: Any, _: str) -> tuple[float, float, None]:
     return found, modulus_std(values, {}, dimple_covariance=dimple.covariance) / found, None
 
 
-def measure(scene: Any, by: Callable[..., Any], method: str = "") -> dict[str, Any]:
-    """Measure one embryo as neo-Hookean of unknown radius; an error is a failure and no number."""
+def measure(scene: Any, by: Callable[..., Any]) -> dict[str, Any]:
+    """Measure one embryo; an error is a failure and no number."""
     start = process_time()
     try:
-        modulus, std, found = by(scene, method)
+        modulus, std, found = by(scene)
     except ValueError as reason:
         return {"error": np.nan, "std": np.nan, "reason": str(reason)}
     row = {"error": np.log(modulus / scene.modulus), "std": std, "seconds": process_time() - start}
@@ -257,8 +257,8 @@ def _silent(runs: pd.DataFrame) -> int:
 
 
 METHODS = {
-    "profile (4.2) fitted (microlib)": (by_library, "membrane"),
-    "LOESS and eight Gaussians (thesis)": (by_thesis, ""),
+    "profile (4.2) fitted (microlib)": by_library,
+    "LOESS and eight Gaussians (thesis)": by_thesis,
 }
 NOTE = """\
 The renderer and the fit use different formulas. Each image shows a closed neo-Hookean capsule
@@ -286,13 +286,13 @@ def main() -> tuple[Tables, Limits]:
         for seed in SEEDS:
             scene = draw_scene(np.random.default_rng(seed), probe)
             of = {"probe": probe, "resolution": _REDUCED[scene.shrink]}
-            rows.append(of | measure(scene, by_library, "capsule"))
+            rows.append(of | measure(scene, by_library))
     runs = pd.DataFrame(rows)
     rows = []
     for seed in SEEDS:
         scene = draw_of_model(np.random.default_rng(seed))
-        for name, (by, method) in METHODS.items():
-            rows.append({"method": name} | measure(scene, by, method))
+        for name, by in METHODS.items():
+            rows.append({"method": name} | measure(scene, by))
     of_model = pd.DataFrame(rows)
     by_probe = summarize(runs, "probe")
     by_method = summarize(of_model, "method").drop(

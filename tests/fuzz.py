@@ -131,7 +131,7 @@ MAY_BE_UNKNOWN = {
     "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
     "calibration.detect_circles", "calibration.detect_charuco", "calibration.stage_affine",
     "embryo.dimple_geometry", "embryo.fit_dimple", "embryo.modulus_from_image",
-    "embryo.force_from_image", "embryo.fit_gaussians",
+    "embryo.fit_gaussians",
     # Beyond the fold of the distortion, beside the plane, in the focal plane, far from the dimple.
     "microscope.distort", "microscope.undistort", "microscope.Microscope.jacobian",
     "microscope.Microscope.project", "microscope.Microscope.project_plane",

@@ -40,7 +40,7 @@ OUT_OF_RANGE: dict[str, float] = {
 }  # fmt: skip
 #: Arrays of which all numbers are above zero.
 POSITIVE_ARRAYS = {
-    "cell", "counts", "image_size", "pixel_size", "radius", "relaxation_times", "scales",
+    "cell", "counts", "image_size", "pixel_size", "radius", "scales",
     "shape", "travel", "widths",
 }  # fmt: skip
 
@@ -48,7 +48,7 @@ POSITIVE_ARRAYS = {
 ANY_SHAPE = (
     *(f"membrane.{name}.*" for name in (
         "elastic_modulus", "indentation_force", "dimple_depth", "dimple_profile",
-        "membrane_stress", "mean_strain", "viscoelastic_force")),
+        "membrane_stress", "mean_strain")),
     "embryo.GaussianSum.*.x", "embryo._dimple.*",
     "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
     "microscope.distort.points", "microscope.undistort.points", "*.pixel_size",
@@ -124,9 +124,6 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
         {"force": 1.0},
         fuzz.valid_call("membrane.modulus_std")["values"] | {"force": np.nan},
     ),
-    "membrane.viscoelastic_force.elastic_force": ([0.0, 1.0],),
-    "membrane.viscoelastic_force.prony_coefficients": ([0.7, 0.7], [-0.1, 0.1]),
-    "membrane.viscoelastic_force.time": ([0.0, 0.0, 1.0, 2.0],),
     "microscope.Microscope.image_size": ((656, 0), (656.5, 491), 656),
     "microscope.Microscope.jacobian.parameters": (("alpha", "lens"),),
     "microscope.Microscope.pixel_size": ((9.9, 0.0), (9.9, 9.9, 9.9)),

@@ -5,7 +5,7 @@ from microlib.embryo._boundary import extract_boundary
 from microlib.embryo._dimple import dimple_geometry, fit_dimple
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
-from microlib.embryo._modulus import force_from_image, modulus_from_image
+from microlib.embryo._modulus import modulus_from_image
 from microlib.embryo._outline import dimple_from_outline, read_outline
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "extract_boundary",
     "fit_dimple",
     "fit_gaussians",
-    "force_from_image",
     "loess",
     "modulus_from_image",
     "read_outline",

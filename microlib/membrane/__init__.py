@@ -29,8 +29,7 @@ the same capsule, of known outline    `fit_capsule`               as above
 ====================================  ==========================  =================================
 
 No clamped disc has a uniform stress. `modulus_std` and `modulus_samples` compute the error of (5.2)
-that follows from the errors of its inputs. `viscoelastic_force` computes the force of a wall whose
-stress relaxes.
+that follows from the errors of its inputs.
 """
 
 from microlib.membrane._finite_slope import finite_slope_modulus, steepest_depth
@@ -47,7 +46,6 @@ from microlib.membrane._uncertainty import modulus_samples, modulus_std
 from microlib.membrane.large._capsule import capsule_modulus, indent_capsule
 from microlib.membrane.large._disc import disc_modulus, indent_disc
 from microlib.membrane.large._fit_capsule import fit_capsule
-from microlib.membrane.large._viscoelastic import viscoelastic_force
 
 __all__ = [
     "SmallSlopeWarning",
@@ -66,5 +64,4 @@ __all__ = [
     "modulus_samples",
     "modulus_std",
     "steepest_depth",
-    "viscoelastic_force",
 ]

@@ -8,12 +8,10 @@ from compendium.experiments import (
     chapter_3,
     chapter_4,
     chapter_6,
-    chapter_6_force,
     uncertainty,
 )
 from compendium.experiments.disc_blur import disc_blur
 from compendium.ledger import Record
-from microlib.membrane import viscoelastic_force
 
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
@@ -71,17 +69,6 @@ def test_power_equals_share_of_detected_simulated_differences(std):
     differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
     # Four standard errors of a share of 100 000.
     assert float(chapter_6.power(std)) == pytest.approx(differ.mean(), abs=0.0065)
-
-
-def test_true_force_follows_viscoelastic_law():
-    time = np.array([0.0, 1.0, 2.0, 5.0, 8.0, 9.0, 10.0])  # with every turn
-    law = {
-        "prony_coefficients": [chapter_6_force.SHARE],
-        "relaxation_times": [chapter_6_force.RELAXATION_TIME],
-    }
-    wanted = viscoelastic_force(time, chapter_6_force.elastic_push(time), **law)
-    # Turns that fall within a step of 0.02 s cost 0.01 of the rate.
-    np.testing.assert_allclose(chapter_6_force.true_force(time), wanted, atol=0.05)
 
 
 def test_coverage_of_normal_errors_is_the_level_and_ignores_missing_heights():

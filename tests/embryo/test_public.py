@@ -8,7 +8,6 @@ from microlib.embryo import (
     dimple_geometry,
     extract_boundary,
     fit_dimple,
-    force_from_image,
     modulus_from_image,
 )
 from tests import fuzz
@@ -62,19 +61,14 @@ def hills(u) -> GaussianSum:
     return GaussianSum(a, b, c, domain=tuple(DOMAIN * u.px + u.x0), covariance=known)
 
 
-def estimate(found: str, other: str) -> dict:
-    moduli = ("point load", "disc, neo-hooke", "disc, neo-hooke, no pressure", "disc, hooke",
-              "disc, hooke, no pressure")  # fmt: skip
-    return {
-        **dict.fromkeys((found, "interval", "model_interval"), UNITS[found]), other: UNITS[other],
-        **dict.fromkeys(("relative_std", "misfit"), NUMBER), "found": SAME, "boundary": SAME,
-        "dimple": FIT, "model_moduli": dict.fromkeys(moduli, MPa),
-        "given": dict.fromkeys(("thickness", "probe_half_width"), um)
-        | {"poisson_ratio": NUMBER},
-    }  # fmt: skip
-
-
-UNITS = {"force": uN, "modulus": MPa}
+ESTIMATE = {
+    "modulus": MPa, "interval": MPa, "model_interval": MPa, "force": uN,
+    "relative_std": NUMBER, "misfit": NUMBER, "boundary": SAME, "dimple": FIT,
+    "model_moduli": dict.fromkeys(
+        ("point load", "disc, neo-hooke", "disc, neo-hooke, no pressure", "disc, hooke",
+         "disc, hooke, no pressure"), MPa),
+    "given": {"thickness": um, "probe_half_width": um, "poisson_ratio": NUMBER},
+}  # fmt: skip
 LAWS = {
     "embryo.GaussianSum": Row(
         lambda u: {
@@ -143,14 +137,7 @@ LAWS = {
     ),
     # Models are solved to 1e-6.
     "embryo.modulus_from_image": Row(
-        lambda u: {"image": EGG, "force": 143.0 * u.uN, **film(u)},
-        estimate("modulus", "force"),
-        within=1e-5,
-    ),
-    "embryo.force_from_image": Row(
-        lambda u: {"image": EGG, "modulus": 0.8 * u.MPa, **film(u)},
-        estimate("force", "modulus"),
-        within=1e-5,
+        lambda u: {"image": EGG, "force": 143.0 * u.uN, **film(u)}, ESTIMATE, within=1e-5
     ),
 }  # fmt: skip
 
@@ -160,23 +147,15 @@ def test_law_holds(law, name):
     law(name, LAWS[name])
 
 
-@pytest.mark.parametrize("found", ["force", "modulus"])
-def test_ends_of_model_interval_are_values_of_models(found):
-    """Each end is the result of a model, which returns the input if it is given that end."""
-    settings = {"pixel_size": 7.75, **SIZES, "poisson_ratio": 0.5}
-    first, back = (force_from_image, modulus_from_image)[:: 1 if found == "force" else -1]
-    estimate = first(EGG, 0.8, **settings)
-    low, high = estimate.model_interval
-    assert low < estimate.interval[0] < getattr(estimate, found) < estimate.interval[1] < high
-    # Without the uncertainty of the outline, which is the same for all models.
-    widen = np.sqrt(np.divide(*estimate.interval[::-1]))
-    assert np.log(widen) == pytest.approx(1.959964 * estimate.relative_std)
-    for end in (low * widen, high / widen):
-        again = back(EGG, end, **settings)
-        by_model = np.array([again.modulus, *again.model_moduli.values()])
-        if found == "modulus":
-            by_model = again.force * again.modulus / by_model
-        assert np.abs(np.log(by_model / 0.8)).min() < 1e-5
+def test_model_interval_is_range_of_models_widened_by_uncertainty_of_outline():
+    found = modulus_from_image(EGG, 0.8, pixel_size=7.75, **SIZES, poisson_ratio=0.5)
+    low, high = found.model_interval
+    assert low < found.interval[0] < found.modulus < found.interval[1] < high
+    # The uncertainty of the outline is the same for all models.
+    widen = np.exp(1.959964 * found.relative_std)
+    assert found.interval == pytest.approx((found.modulus / widen, found.modulus * widen))
+    assert low * widen == pytest.approx(min(found.model_moduli.values()))
+    assert high / widen == pytest.approx(max(found.model_moduli.values()))
 
 
 @pytest.mark.parametrize("rim", ["left", "right"])

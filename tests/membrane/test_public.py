@@ -76,10 +76,6 @@ LAWS = {
     "membrane.modulus_std": Row(errors, MPa),
     "membrane.modulus_samples": Row(lambda u: {"values": errors(u)["values"],
         "stds": errors(u)["stds"], "size": 7, "rng": 3}, MPa),
-    "membrane.viscoelastic_force":
-        Row(lambda u: {"time": u.t0 + np.array([0.0, 0.3, 1.1, 4.0]) * u.s,
-        "elastic_force": np.array([[1.0, 5.0, 4.0, 4.0], [0.0, 2.0, 2.5, 1.0]]) * u.uN,
-        "prony_coefficients": [0.3, 0.2], "relaxation_times": np.array([0.7, 5.0]) * u.s}, uN),
     "membrane.indent_disc": Row(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
         "radius": A * u.um, **wall(u), **RUBBER, "pressure": 3e-4 * u.MPa, "pretension": 0.03,
         "rim_inset": 0.02}, STATE, within=1e-6),

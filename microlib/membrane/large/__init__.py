@@ -1,4 +1,4 @@
-"""Membranes beyond the point-load model: discs and capsules at any depth, and walls that relax.
+"""Membranes beyond the point-load model: discs and capsules at any depth.
 
 The public functions of this package are those of `microlib.membrane`.
 """
