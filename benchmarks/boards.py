@@ -280,7 +280,7 @@ def faults(seeds: int = 40) -> pd.DataFrame:
                 found = calibrate(
                     world[0] if one else world,
                     image[0] if one else image,
-                    pixel_size=8.0,
+                    pixel_pitch=8.0,
                     image_size=(640, 480),
                 )
                 low, high = found.interval("focal_length")

@@ -44,7 +44,8 @@ def small_scene(
     pitch = PITCH_PX * 9.9 / 2
     shift = -np.array([5, 4]) * pitch + rng.uniform(-5, 5, 2)
     alpha = rng.uniform(-0.2, 0.2)
-    return Microscope(2e5, 1e5, 5e4, 0.0, alpha, *tilt, *shift, image_size=(500, 460)), pitch
+    sensor = {"pixel_pitch": 9.9, "image_size": (500, 460)}
+    return Microscope(2e5, 1e5, 5e4, 0.0, alpha, *tilt, *shift, **sensor), pitch
 
 
 def chessboard(
@@ -159,6 +160,8 @@ def tilted(degrees: float) -> tuple[Microscope, np.ndarray]:
         0.6 * degrees * DEGREE,
         -781,
         -55,
+        pixel_pitch=9.9,
+        image_size=(656, 491),
     )
     index = np.arange(-40, 41)
     world = 280.0 * np.stack(np.meshgrid(index, index), axis=-1).reshape(-1, 2)
@@ -183,7 +186,7 @@ def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
         for seed in range(seeds):
             rng = np.random.default_rng([seed, 4, degrees])
             seen = image + rng.normal(0, noise, image.shape)
-            sensor = {"pixel_size": 9.9, "image_size": (656, 491)}
+            sensor = {"pixel_pitch": 9.9, "image_size": (656, 491)}
             fit = calibrate(world, seen, **sensor)
             unknown += "focal_length" in fit.undetermined
             stated.append(fit.sigma["focal_length"] / f)

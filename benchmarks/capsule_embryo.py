@@ -41,7 +41,8 @@ _WIDTHS = {"needle": (8.0, 14.0), "blunt": (38.0, 50.0)}
 _TAPERS = {"needle": 0.08, "tapered": 0.08}
 #: Largest angle of the probe against the image's edge: as mounted, and of the angled one.
 _TILT, _ANGLE = np.deg2rad(3.0), np.deg2rad(60.0)
-#: Pixel of a camera of 4.65 µm cells behind 2.4×, µm, its image, and samples of a pixel's side.
+#: Pixel size, µm, of a camera of 4.65 µm pixel pitch behind 2.4×, its image, and samples of a
+#: pixel's side.
 PIXEL, ROWS, COLUMNS, FINE = 4.65 / 2.4, 960, 1280, 2
 _REDUCED = {1: "as it is", 2: "half", 4: "a quarter"}
 #: Fractional bits of OpenCV's drawing.
@@ -94,7 +95,7 @@ def _photograph(
     rng: np.random.Generator, picture: NDArray[np.float32], shrink: int
 ) -> NDArray[np.uint8]:
     """Return grey levels of the drawing as a camera and a file of colors leave them."""
-    # The optics' blur is that of the object, whatever the camera's cells are.
+    # The optics' blur is that of the object, whatever the camera's pixel pitch is.
     blurred = cv2.GaussianBlur(picture, (0, 0), rng.uniform(1.4, 2.4) * FINE)
     size = (COLUMNS // shrink, ROWS // shrink)
     small = cv2.resize(blurred, size, interpolation=cv2.INTER_AREA)
@@ -119,7 +120,7 @@ def _photograph(
 
 
 def _draw(rng: np.random.Generator, state: Any, c: float, probe: str) -> NDArray[np.float32]:
-    """Draw the scene in cells finer than the camera's, before any blur."""
+    """Draw the scene on a grid finer than the camera's pixels, before any blur."""
     half = np.stack([state.r, state.z], axis=1)
     outline = np.concatenate([half[::-1] * [-1, 1], half])
     width, height = float(np.abs(outline[:, 0]).max()), float(outline[:, 1].max())

@@ -31,8 +31,8 @@ ZOOMS = ("1X", "4X")
 # Section 5.1: cameras and stages
 
 #: Cells of the cameras for servoing (Basler A602fc) and for the embryo (Sony XCD-X710CR), µm.
-BASLER_CELL = claim("section-5.1/basler-cell").value
-SONY_CELL = claim("section-5.1/sony-cell").value
+BASLER_PIXEL_PITCH = claim("section-5.1/basler-pixel-pitch").value
+SONY_PIXEL_PITCH = claim("section-5.1/sony-pixel-pitch").value
 #: Pixels of their images, (width, height); from the data sheets, not the thesis.
 BASLER_IMAGE_SIZE = (656, 491)
 #: Smallest step of a stage and opening of the gripper, µm.
@@ -67,7 +67,7 @@ K_THRESHOLD = claim("section-5.5/k-threshold").value
 # Section 5.6: the embryo
 
 #: Pixel of the Sony camera in the object plane, µm.
-EMBRYO_PIXEL = SONY_CELL / claim("section-5.6/magnification").value
+EMBRYO_PIXEL = SONY_PIXEL_PITCH / claim("section-5.6/magnification").value
 #: Where the curve of Table 5.5 is drawn and searched, px: about the outermost centers of its
 #: Gaussians, 48 and 243 px. The thesis prints no ends, and no verdict depends on them.
 OUTLINE_DOMAIN = (50.0, 265.0)
@@ -128,7 +128,7 @@ def microscope(column: str) -> Microscope:
     Returns
     -------
     Microscope
-        With the cells and the image size of the Basler camera.
+        With the pixel pitch and the image size of the Basler camera.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def microscope(column: str) -> Microscope:
         gamma=gamma,
         tx=table_5_1(column, "T_x"),
         ty=table_5_1(column, "T_y"),
-        pixel_size=BASLER_CELL,
+        pixel_pitch=BASLER_PIXEL_PITCH,
         image_size=BASLER_IMAGE_SIZE,
     )
 
@@ -193,7 +193,7 @@ def pattern_pitch(column: str) -> float:
 
 
 def effective_pixel(zoom: str) -> float:
-    """Return the pixel of the servoing camera on the sample, µm: cell over magnification.
+    """Return the pixel of the servoing camera on the sample, µm: pixel pitch over magnification.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def effective_pixel(zoom: str) -> float:
     >>> round(effective_pixel("1X"), 2)
     6.23
     """
-    return BASLER_CELL / table_5_1(f"circle-{zoom}", "M")
+    return BASLER_PIXEL_PITCH / table_5_1(f"circle-{zoom}", "M")
 
 
 def thesis_stack(texture: ArrayLike, height: ArrayLike, positions: ArrayLike) -> NDArray[np.uint8]:

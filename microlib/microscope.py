@@ -7,7 +7,7 @@ the objective onto the sensor (µm from the sensor's center), distorted, and sam
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -160,8 +160,8 @@ class Microscope(Tidy):
         Euler angles of R = Rz(α) Ry(β) Rx(γ) from world to objective frame, rad.
     tx, ty : float
         World origin in the objective frame, µm; its third coordinate is T_z = f + d (2.8).
-    pixel_size : float or (float, float)
-        Pitch of the sensor cells along x and y, µm.
+    pixel_pitch : float or (float, float)
+        Distance of neighboring pixels on the sensor along x and y (pixel pitch), µm.
     image_size : (int, int)
         Width and height of the image, px. The optical axis meets its center.
 
@@ -191,7 +191,7 @@ class Microscope(Tidy):
     >>> alpha, beta, gamma = np.deg2rad([90.7144, -2.7912, 175.9179])
     >>> scope = Microscope(
     ...     200490, 126150, 78750, distortion=-8.4e-10, alpha=alpha, beta=beta, gamma=gamma,
-    ...     tx=-781.4, ty=-55.002, pixel_size=9.9, image_size=(656, 491))
+    ...     tx=-781.4, ty=-55.002, pixel_pitch=9.9, image_size=(656, 491))
     >>> scope.project([[0.0, 0.0], [280.0, 0.0]]).round(2)
     array([[201.51, 236.13],
            [200.94, 281.22]])
@@ -222,8 +222,9 @@ class Microscope(Tidy):
     gamma: float = 0.0
     tx: float = 0.0
     ty: float = 0.0
-    pixel_size: float | tuple[float, float] = 9.9
-    image_size: tuple[int, int] = (656, 491)
+    _: KW_ONLY
+    pixel_pitch: float | tuple[float, float]
+    image_size: tuple[int, int]
 
     def __post_init__(self) -> None:
         for name in ("tube_length", "focal_length", "distance"):
@@ -232,11 +233,11 @@ class Microscope(Tidy):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
         for name in ("alpha", "beta", "gamma"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
-        cell = positive("pixel_size", self.pixel_size)
-        if cell.ndim:
-            cell = as_array("pixel_size", cell, shape=(2,))
-        pitch = cell.tolist()
-        object.__setattr__(self, "pixel_size", tuple(pitch) if cell.ndim else pitch)
+        pitch = positive("pixel_pitch", self.pixel_pitch)
+        if pitch.ndim:
+            pitch = as_array("pixel_pitch", pitch, shape=(2,))
+        plain = tuple(pitch.tolist()) if pitch.ndim else pitch.item()
+        object.__setattr__(self, "pixel_pitch", plain)
         size = positive("image_size", as_array("image_size", self.image_size, shape=(2,)))
         if (size != np.round(size)).any():
             raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
@@ -266,9 +267,9 @@ class Microscope(Tidy):
         return float(np.arctan2(np.hypot(r[2, 0], r[2, 1]), abs(r[2, 2])))
 
     @property
-    def cell(self) -> Array:
-        """Pitch of the sensor cells (s_x, s_y), µm."""
-        return np.broadcast_to(np.asarray(self.pixel_size, dtype=np.float64), 2)
+    def pitch(self) -> Array:
+        """Pixel pitch of the sensor along x and y, (s_x, s_y), µm."""
+        return np.broadcast_to(np.asarray(self.pixel_pitch, dtype=np.float64), 2)
 
     @property
     def principal_point(self) -> Array:
@@ -321,7 +322,7 @@ class Microscope(Tidy):
         x, y, z = self.to_objective(points).T
         z = np.where(z > 0, z, np.nan)
         sensor = (self.tube_length + self.focal_length) * np.column_stack([x / z, y / z])
-        return _distorted(sensor, self.distortion) / self.cell + self.principal_point
+        return _distorted(sensor, self.distortion) / self.pitch + self.principal_point
 
     def back_project(self, pixels: ArrayLike) -> Array:
         """Image points to the pattern plane Z_w = 0: the inverse of :meth:`project` there.
@@ -343,7 +344,7 @@ class Microscope(Tidy):
             If `pixels` is empty, not finite, or has another shape.
         """
         pixels = as_array("pixels", pixels, shape=(None, 2))
-        sensor = undistort((pixels - self.principal_point) * self.cell, self.distortion)
+        sensor = undistort((pixels - self.principal_point) * self.pitch, self.distortion)
         x, y = (sensor / (self.tube_length + self.focal_length)).T
         r, (tx, ty, tz) = self.rotation, self.translation
         # X − x Z = 0 and Y − y Z = 0 are two linear equations in X_w and Y_w.
@@ -381,7 +382,7 @@ class Microscope(Tidy):
         A longer tube moves the points outwards, on the sensor by their share of the field:
 
         >>> from microlib.microscope import Microscope
-        >>> scope = Microscope(200000, 126000, 79380)
+        >>> scope = Microscope(200000, 126000, 79380, pixel_pitch=9.9, image_size=(656, 491))
         >>> scope.jacobian([[0.0, 0.0], [280.0, 0.0]], ("tube_length",))[..., 0].round(7)
         array([[0.      , 0.      ],
                [0.0001377, 0.      ]])
@@ -396,7 +397,7 @@ class Microscope(Tidy):
         depth = self.focal_length + self.distance
         pose = (self.distortion, self.alpha, self.beta, self.gamma, self.tx, self.ty)
         visible = np.array([self.magnification, 1 / depth, *pose])
-        by = Microscope.project_plane(visible, world, self.cell)[1]
+        by = Microscope.project_plane(visible, world, self.pitch)[1]
         by_range = by[..., 0] / depth  # T_op + f, at constant f + d
         by_depth = -(self.magnification * by[..., 0] + by[..., 1] / depth) / depth  # f + d
         columns = {
@@ -413,7 +414,7 @@ class Microscope(Tidy):
         return np.stack([columns[name] for name in parameters], axis=-1)
 
     @staticmethod
-    def project_plane(visible: Array, world: Array, cell: Array) -> tuple[Array, Array]:
+    def project_plane(visible: Array, world: Array, pitch: Array) -> tuple[Array, Array]:
         """Image of points of the pattern plane from the numbers that they can see.
 
         Parameters
@@ -423,8 +424,8 @@ class Microscope(Tidy):
             then κ in 1/µm², angles in rad, T in µm.
         world : ndarray, shape (N, 2)
             (X_w, Y_w), µm.
-        cell : ndarray, shape (2,)
-            Pitch of the sensor cells, µm.
+        pitch : ndarray, shape (2,)
+            Pixel pitch of the sensor, µm.
 
         Returns
         -------
@@ -437,7 +438,7 @@ class Microscope(Tidy):
         Raises
         ------
         ValueError
-            If a shape does not fit, a value is not finite, a cell is not positive, or a point lies
+            If a shape does not fit, a value is not finite, a pitch is not positive, or a point lies
             on the fold of the distortion model, where derivatives are infinite.
 
         Notes
@@ -452,7 +453,7 @@ class Microscope(Tidy):
         """
         visible = as_array("visible", visible, shape=(8,))
         world = as_array("world", world, shape=(None, 2))
-        cell = positive("cell", as_array("cell", cell, shape=(2,)))
+        pitch = positive("pitch", as_array("pitch", pitch, shape=(2,)))
         magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
         rotation = _rotation(alpha, beta, gamma)
         # A row a component: the points of each lie side by side in memory, which is several times
@@ -488,5 +489,5 @@ class Microscope(Tidy):
         radial = (by * sensor).sum(axis=1, keepdims=True)
         by -= radial * (2 * distortion * sensor / along)
         by /= across
-        by /= cell[:, np.newaxis]
-        return sensor.T / cell, by.transpose(2, 1, 0)
+        by /= pitch[:, np.newaxis]
+        return sensor.T / pitch, by.transpose(2, 1, 0)

@@ -1,7 +1,7 @@
 """The thin lens, and the blur in an image that is out of focus: equations 3.1 to 3.9.
 
 Lengths are in µm unless a name says px. The Gaussian blur of an image is given in px; divide a
-length on the sensor by the side of a sensor pixel to get it.
+length on the sensor by the pixel pitch to get it.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ OUT_OF_RANGE: dict[str, float] = {
 }  # fmt: skip
 #: Arrays of which all numbers are above zero.
 POSITIVE_ARRAYS = {
-    "cell", "counts", "image_size", "pixel_size", "radius", "scales",
-    "shape", "travel", "widths",
+    "counts", "image_size", "pitch", "pixel_pitch", "pixel_size", "radius", "scales", "shape",
+    "travel", "widths",
 }  # fmt: skip
 
 #: Where a number may be one of an array, or an array have any shape.
@@ -51,7 +51,7 @@ ANY_SHAPE = (
         "membrane_stress", "mean_strain")),
     "embryo.GaussianSum.*.x", "embryo._dimple.*",
     "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
-    "microscope.distort.points", "microscope.undistort.points", "*.pixel_size",
+    "microscope.distort.points", "microscope.undistort.points", "*.pixel_size", "*.pixel_pitch",
     "servoing.Stage.rounded.position", "servoing.point_jacobian.depth",
     "synthetic.mixed_texture.scales", "curvature.hk_labels.?_zero", "optics.defocus.sigma",
 )  # fmt: skip
@@ -126,7 +126,7 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     ),
     "microscope.Microscope.image_size": ((656, 0), (656.5, 491), 656),
     "microscope.Microscope.jacobian.parameters": (("alpha", "lens"),),
-    "microscope.Microscope.pixel_size": ((9.9, 0.0), (9.9, 9.9, 9.9)),
+    "microscope.Microscope.pixel_pitch": ((9.9, 0.0), (9.9, 9.9, 9.9)),
     "optics.blur_radius.sensor_distance": (90.0,),
     "optics.defocus.sigma": (np.zeros((4, 5)),),
     "optics.gaussian_kernel.sigma": (0.0,),

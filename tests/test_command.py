@@ -35,7 +35,7 @@ INPUTS = ROOT / "data" / "synthetic"
 MODULUS = "--pixel-size 3.875 --thickness 3 --probe-half-width 25 --poisson-ratio 0.5"
 BOX = "--box 30 40 40 40"
 STACK = "depth focal_stack.tif --spacing 25 --pixel-size 3.9"
-GRID = "calibrate circles.png --pitch 0.28mm --cell 9.9um --focal-length 126150"
+GRID = "calibrate circles.png --pitch 0.28mm --pixel-pitch 9.9um --focal-length 126150"
 OUTLINE = f"modulus outline.csv --force 10 --force-std 3 {MODULUS}"
 
 POINTS = pd.read_csv(INPUTS / "outline.csv")
@@ -173,13 +173,13 @@ def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
     assert np.ptp(y) == pytest.approx(2 * 418, abs=4)
 
 
-def test_camera_matrix_and_scale_need_no_cell_size(tmp_path, capsys):
+def test_camera_matrix_and_scale_need_no_pixel_pitch(tmp_path, capsys):
     found = []
-    for cell, noted in (("", True), ("--cell 9.9", False)):
-        line = f"calibrate circles.png --pitch 280 {cell}"
-        assert status(line, tmp_path / f"out{cell}") == 0
-        assert ("in the camera are in cells of its sensor" in capsys.readouterr().err) == noted
-        found.append(json.loads((tmp_path / f"out{cell}" / "camera.json").read_text()))
+    for given, noted in (("", True), ("--pixel-pitch 9.9", False)):
+        line = f"calibrate circles.png --pitch 280 {given}"
+        assert status(line, tmp_path / f"out{given}") == 0
+        assert ("in the camera are in pixels of its sensor" in capsys.readouterr().err) == noted
+        found.append(json.loads((tmp_path / f"out{given}" / "camera.json").read_text()))
     # Two fits from different starts of f, which one plane hardly determines.
     one, other = [each["micro_manager"]["PixelSizeUm"] for each in found]
     assert one == pytest.approx(other, rel=1e-6)
@@ -203,8 +203,8 @@ def chessboards() -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("line", "given"),
     [
-        ("--pitch 100 --cell 5", {}),
-        ("--pitch 0.1mm --cell 5000nm --focal-length 0.16cm --marks chessboard",
+        ("--pitch 100 --pixel-pitch 5", {}),
+        ("--pitch 0.1mm --pixel-pitch 5000nm --focal-length 0.16cm --marks chessboard",
             {"focal_length": 1600.0}),
     ],
 )  # fmt: skip
@@ -229,7 +229,7 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
     assert "stretched.png: it disagrees with the others by" in printed.err
     # The same as the calls of the library.
     found = [calibration.detect_squares(image, pattern="chessboard") for image in images]
-    result = calibration.calibrate(found, pitch=100.0, pixel_size=5.0, **given)
+    result = calibration.calibrate(found, pitch=100.0, pixel_pitch=5.0, **given)
     assert str(result) in printed.out
     camera = json.loads((tmp_path / "out" / "camera.json").read_text())
     hold_alike(camera, json.loads(result.to_json()))
@@ -453,14 +453,17 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
-        ("calibrate circles.png --pitch 280 --focal-length 126150", "give --cell µm"),
-        ("calibrate circles.png --cell=-1,25 --pitch 280", "--cell must be positive, got -1.25"),
+        ("calibrate circles.png --pitch 280 --focal-length 126150", "give --pixel-pitch µm"),
+        (
+            "calibrate circles.png --pixel-pitch=-1,25 --pitch 280",
+            "--pixel-pitch must be positive, got -1.25",
+        ),
         # Commas that may separate thousands.
-        (f"{GRID} --cell 126,000", "126,000 can be 126000 or 126.000"),
-        (f"{GRID} --cell 1,500", "1,500 can be 1500 or 1.500"),
-        (f"{GRID} --cell=-1,500", "-1,500 can be -1500 or -1.500"),
+        (f"{GRID} --pixel-pitch 126,000", "126,000 can be 126000 or 126.000"),
+        (f"{GRID} --pixel-pitch 1,500", "1,500 can be 1500 or 1.500"),
+        (f"{GRID} --pixel-pitch=-1,500", "-1,500 can be -1500 or -1.500"),
         *(
-            (f"{GRID} --cell {text}", f"--cell: invalid number in µm value: '{text}'")
+            (f"{GRID} --pixel-pitch {text}", f"--pixel-pitch: invalid number in µm value: '{text}'")
             for text in ("126.000,5", "1,23,456", "1,500.0", "1,234,567")
         ),
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
@@ -473,7 +476,10 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         # A source that is not there, or shows something else.
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
         ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
-        ("calibrate embryo.png --marks charuco --cell 9.9 --pitch 280", "microlib calibrate: "),
+        (
+            "calibrate embryo.png --marks charuco --pixel-pitch 9.9 --pitch 280",
+            "microlib calibrate: ",
+        ),
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
         (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
         # Outputs.

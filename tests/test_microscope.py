@@ -20,7 +20,7 @@ small_tilts = st.floats(-0.35, 0.35)
 
 
 def pose(u, **changes):
-    """Return a microscope without a symmetry: turned, tilted, and with oblong cells."""
+    """Return a microscope without a symmetry: turned, tilted, and with oblong pixels."""
     given = {
         **dict(zip(("alpha", "beta", "gamma"), (0.6, 0.3, -0.2), strict=True)),
         "tube_length": 200e3 * u.um,
@@ -29,17 +29,18 @@ def pose(u, **changes):
         "distortion": -8.4e-10 / u.um**2,
         "tx": -780.0 * u.um,
         "ty": -55.0 * u.um,
-        "pixel_size": (9.9 * u.um, 8.3 * u.um),
+        "pixel_pitch": (9.9 * u.um, 8.3 * u.um),
         "image_size": (640, 470),
     }
     return Microscope(**given | changes)
 
 
+SENSOR = {"pixel_pitch": (9.9, 8.3), "image_size": (640, 470)}
 SCOPE = pose(Units())
 PLANE = np.random.default_rng(6).uniform(-900, 900, (7, 2))
 SCOPE_UNITS = {
     **dict.fromkeys(("tube_length", "focal_length", "distance", "tx", "ty"), um),
-    **dict.fromkeys(("pixel_size", "translation", "cell"), um),
+    **dict.fromkeys(("pixel_pitch", "translation", "pitch"), um),
     **dict.fromkeys(("alpha", "beta", "gamma", "tilt", "rotation", "magnification"), NUMBER),
     **dict.fromkeys(("image_size", "principal_point"), NUMBER),
     "distortion": 1 / um**2,
@@ -64,7 +65,7 @@ LAWS = {
         [1 / um, 1 / um, 1 / um, um**2, NUMBER, NUMBER, NUMBER, 1 / um, 1 / um, NUMBER]),
     "microscope.Microscope.project_plane": Row(lambda u: {
         "visible": [1.6, 5e-6 / u.um, -8e-10 / u.um**2, 0.6, 0.3, -0.2, 90 * u.um, -55 * u.um],
-        "world": PLANE * u.um, "cell": np.array([9.9, 8.3]) * u.um}, (NUMBER,
+        "world": PLANE * u.um, "pitch": np.array([9.9, 8.3]) * u.um}, (NUMBER,
         [NUMBER, um, um**2, NUMBER, NUMBER, NUMBER, 1 / um, 1 / um])),
     "microscope.distort": Row(on_sensor, um),
     "microscope.undistort": Row(on_sensor, um),
@@ -112,7 +113,7 @@ def test_back_projection_undoes_projection(
     f = 2e5 / magnification
     gamma = tilt + np.pi * behind
     pose = (alpha, beta, gamma, *shift)
-    scope = Microscope(2e5, f, f * f / 2e5, distortion, *pose, pixel_size=(9.9, 8.3))
+    scope = Microscope(2e5, f, f * f / 2e5, distortion, *pose, **SENSOR)
     pixels = np.random.default_rng(3).uniform(0, [655, 490], (30, 2))
     plane = scope.back_project(pixels)
     # 1e-9 relative to the field of view: the numbers themselves may be near zero.
@@ -149,7 +150,7 @@ def test_tilt_is_the_angle_of_the_plane_normal_to_the_axis():
     assert SCOPE.tilt == pytest.approx(np.arccos(abs(normal[2])), abs=1e-12)
     behind = replace(SCOPE, gamma=SCOPE.gamma + np.pi)
     assert behind.tilt == pytest.approx(SCOPE.tilt, abs=1e-12)
-    assert Microscope(2e5, 1e5, 5e4, beta=1e-9).tilt == pytest.approx(1e-9, rel=1e-6)
+    assert Microscope(2e5, 1e5, 5e4, beta=1e-9, **SENSOR).tilt == pytest.approx(1e-9, rel=1e-6)
 
 
 def moved(scope, name, by):
@@ -189,10 +190,10 @@ def test_project_plane_equals_projection_of_microscope():
     depth = SCOPE.focal_length + SCOPE.distance
     rest = [SCOPE.distortion, SCOPE.alpha, SCOPE.beta, SCOPE.gamma, SCOPE.tx, SCOPE.ty]
     visible = np.array([SCOPE.magnification, 1 / depth, *rest])
-    seen, _ = Microscope.project_plane(visible, world, SCOPE.cell)
+    seen, _ = Microscope.project_plane(visible, world, SCOPE.pitch)
     np.testing.assert_allclose(seen + SCOPE.principal_point, SCOPE.project(world), atol=1e-9)
-    flat, _ = Microscope.project_plane(np.array([2.0, 0.0, 0.0, *rest[1:]]), world, SCOPE.cell)
-    expected = 2 * SCOPE.to_objective(world)[:, :2] / SCOPE.cell
+    flat, _ = Microscope.project_plane(np.array([2.0, 0.0, 0.0, *rest[1:]]), world, SCOPE.pitch)
+    expected = 2 * SCOPE.to_objective(world)[:, :2] / SCOPE.pitch
     np.testing.assert_allclose(flat, expected, rtol=1e-12)
 
 
@@ -229,13 +230,13 @@ def test_project_plane_rejects_point_on_fold_of_distortion():
 
 
 def test_default_microscope_is_untilted_with_thesis_sensor():
-    scope = Microscope(2e5, 1e5, 5e4)
+    scope = Microscope(2e5, 1e5, 5e4, pixel_pitch=9.9, image_size=(656, 491))
     np.testing.assert_allclose(scope.rotation, np.eye(3), atol=1e-15)
     assert scope.tilt == 0
     np.testing.assert_array_equal(scope.translation, [0, 0, 1.5e5])
-    np.testing.assert_array_equal(scope.cell, [9.9, 9.9])
+    np.testing.assert_array_equal(scope.pitch, [9.9, 9.9])
     np.testing.assert_array_equal(scope.principal_point, [327.5, 245.0])
     # M = 2: 99 µm of the plane are 198 µm of the sensor, 20 px.
     np.testing.assert_allclose(scope.project([[99.0, -49.5]]), [[347.5, 235.0]], rtol=1e-12)
-    wide = replace(scope, pixel_size=(9.9, 19.8), image_size=(100, 50))
+    wide = replace(scope, pixel_pitch=(9.9, 19.8), image_size=(100, 50))
     np.testing.assert_allclose(wide.project([[99.0, -49.5]]), [[69.5, 19.5]], rtol=1e-12)

@@ -75,14 +75,14 @@ def calibration_steps(scope: Microscope, noise: float, rng: np.random.Generator)
     """Calibrate points with noise (px), f known: true, linear and refined parameters, and σ."""
     world = grid_in_view(scope)
     image = scope.project(world) + rng.normal(0, noise, world.shape)
-    sensor = (image - scope.principal_point) * scope.cell
+    sensor = (image - scope.principal_point) * scope.pitch
     alpha, beta, gamma, tx, ty = radial_alignment(world, sensor)
     side = np.sign(beta * scope.beta)  # (β, γ) and (−β, −γ) look alike
     pose = {"alpha": alpha, "beta": side * beta, "gamma": side * gamma, "tx": tx, "ty": ty}
-    settings: dict[str, Any] = {"pixel_size": scope.pixel_size, "image_size": scope.image_size}
+    settings: dict[str, Any] = {"pixel_pitch": scope.pixel_pitch, "image_size": scope.image_size}
     fit = calibrate(world, image, focal_length=scope.focal_length, **settings)
     lengths = (scope.tube_length, scope.focal_length, scope.distance)
-    flat = Microscope(*lengths, **pose).to_objective(world)[:, :2]
+    flat = Microscope(*lengths, **pose, **settings).to_objective(world)[:, :2]
     start = linear_intrinsics(flat, np.zeros(len(flat)), sensor)[:2]
     linear = pose | {"magnification": start[0], "distortion": start[1]}
     rows = {
@@ -104,10 +104,10 @@ def jacobian_comparison(scope: Microscope, point: ArrayLike) -> pd.DataFrame:
     """
     place = np.asarray(point, dtype=np.float64)
     weak = point_jacobian(
-        scope.magnification * place[:2] / scope.cell,
+        scope.magnification * place[:2] / scope.pitch,
         depth=place[2],
         magnification=scope.magnification,
-        pixel_size=scope.cell,
+        pixel_pitch=scope.pitch,
     )
     rows = []
     for column, axis in enumerate(("V_x", "V_y", "V_z", "ω_x", "ω_y", "ω_z")):

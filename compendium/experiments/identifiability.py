@@ -65,7 +65,7 @@ def focal_length_study(
         standard deviations are relative.
     """
     free = ("magnification", "focus", *list(PARAMETERS)[1:])
-    known: dict[str, Any] = {"pixel_size": scope.pixel_size, "image_size": scope.image_size}
+    known: dict[str, Any] = {"pixel_pitch": scope.pixel_pitch, "image_size": scope.image_size}
     rows = []
     for degrees in TILTS:
         posed = tilted(scope, degrees)

@@ -31,7 +31,10 @@ RECOVERED = {
     "T_x": ("tx", 1.0, True),
     "T_y": ("ty", 1.0, True),
 }
-SENSOR: dict[str, Any] = {"pixel_size": thesis.BASLER_CELL, "image_size": thesis.BASLER_IMAGE_SIZE}
+SENSOR: dict[str, Any] = {
+    "pixel_pitch": thesis.BASLER_PIXEL_PITCH,
+    "image_size": thesis.BASLER_IMAGE_SIZE,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +273,9 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
         RMS error of a coordinate in px, a row each blur: of the two detectors, and of OpenCV's
         ``cornerSubPix`` started at the corners of the second.
     """
-    size: dict[str, Any] = {"pixel_size": thesis.BASLER_CELL, "image_size": (320, 260)}
+    size: dict[str, Any] = {"pixel_pitch": thesis.BASLER_PIXEL_PITCH, "image_size": (320, 260)}
     scope = Microscope(2e5, 1e5, 5e4, alpha=0.1, tx=-700, ty=-560, **size)
-    pitch = 30 * thesis.BASLER_CELL / scope.magnification
+    pitch = 30 * thesis.BASLER_PIXEL_PITCH / scope.magnification
     names = ["circles", "squares", "squares, cornerSubPix"]
     table = pd.DataFrame(index=pd.Index(np.asarray(blurs, float), name="blur (px)"), columns=names)
     for blur in table.index:
@@ -294,6 +297,6 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
 
 def corner_shift(column: str) -> float:
     """Return by how much the distortion of Table 5.1 moves a corner of the image, px."""
-    corner = np.array(thesis.BASLER_IMAGE_SIZE) * thesis.BASLER_CELL / 2
+    corner = np.array(thesis.BASLER_IMAGE_SIZE) * thesis.BASLER_PIXEL_PITCH / 2
     moved = undistort(corner, thesis.table_5_1(column, "kappa")) - corner
-    return float(np.hypot(*moved)) / thesis.BASLER_CELL
+    return float(np.hypot(*moved)) / thesis.BASLER_PIXEL_PITCH

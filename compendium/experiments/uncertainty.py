@@ -109,7 +109,7 @@ def focal_lengths(seed: int, runs: int) -> tuple[NDArray, NDArray]:
             flat = np.column_stack([world, np.zeros(len(world))])
             seen, _ = cv2.projectPoints(flat, cv2.Rodrigues(turn)[0], place, camera, lens)
             images.append(seen[:, 0] + rng.normal(0, 0.05, world.shape))
-        found = calibrate([world] * 4, images, pixel_size=8.0, image_size=(640, 480))
+        found = calibrate([world] * 4, images, pixel_pitch=8.0, image_size=(640, 480))
         focal = 900 * 8 / (1 + found.microscope.magnification)
         rows.append((found.microscope.focal_length - focal, found.sigma["focal_length"]))
     error, std = np.transpose(rows)

@@ -80,7 +80,7 @@ def draw_microscope(ax: Axes, microscope: Microscope, world: NDArray) -> None:
     # The sensor's outline, magnified onto the virtual image plane, and what it sees of the pattern.
     width, height = (np.array(m.image_size) - 1).tolist()
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height], [0, 0]], dtype=np.float64)
-    sensor = (corners - m.principal_point) * m.cell
+    sensor = (corners - m.principal_point) * m.pitch
     magnified = np.column_stack([sensor, np.full(len(sensor), image_depth)])
     seen = m.to_objective(m.back_project(corners))
     for outline, color in ((seen, "blue"), (magnified, "orange")):

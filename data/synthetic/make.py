@@ -80,18 +80,18 @@ def write_stack(folder: Path) -> dict[str, Entry]:
 
 
 def write_pattern(folder: Path) -> dict[str, Entry]:
-    pitch, cell = 280.0, 9.9
+    pitch, pixel_pitch = 280.0, 9.9
     # The lengths of Table 5.1 in focus, and a pose of our own without distortion.
     t_op, f = (thesis.table_5_1("circle-1X", name) for name in ("T_op", "f"))
     scope = Microscope(
-        t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0, pixel_size=cell
+        t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0, pixel_pitch=pixel_pitch
     )
     look: dict[str, Any] = {"imaging": ImagingConditions(noise=2.0), "rng": SEED}
     image = render_circles(scope, pitch=pitch, **look)
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
     pose = {name: getattr(scope, name) for name in ("distortion", "alpha", "beta", "gamma")}
     what = "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart"
-    settings = {"pitch": pitch, "cell": cell, "focal_length": scope.focal_length}
+    settings = {"pitch": pitch, "pixel_pitch": pixel_pitch, "focal_length": scope.focal_length}
     truth = {"magnification": round(scope.magnification, 7)} | pose
     return {"circles.png": {"what": what, "settings": settings, "truth": truth}}
 

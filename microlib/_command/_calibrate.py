@@ -20,7 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(files=["camera.csv", "camera.json", "points.csv", "look.png"])
     photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
-    add_scales(parser, "pitch", "cell", "focal_length")
+    add_scales(parser, "pitch", "pixel_pitch", "focal_length")
     marks = ["auto", "chessboard", "charuco", "squares", "circles"]
     parser.add_argument("--marks", choices=marks, default=marks[0], help="kind of marks")
 
@@ -28,18 +28,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(a: argparse.Namespace) -> Files:
     """Magnification, pose and distortion of a microscope from photographs of a pattern.
 
-    Example: microlib calibrate grid.png --pitch 200 --cell 4.8 --focal-length 126000 -o camera
+    Example: microlib calibrate grid.png --pitch 200 --pixel-pitch 4.8 -o camera
     """
     import pandas as pd
 
     from microlib.calibration import calibrate, detect_pattern
     from microlib.io import image_files, read_grey
 
-    given = [name for name in ("cell", "focal_length") if getattr(a, name) is not None]
-    # A focal length in µm needs the size of a cell.
-    resolve_scales(a, "pitch", *(sorted({"cell", *given}) if given else []))
+    given = [name for name in ("pixel_pitch", "focal_length") if getattr(a, name) is not None]
+    # A focal length in µm needs the pixel pitch.
+    resolve_scales(a, "pitch", *(sorted({"pixel_pitch", *given}) if given else []))
     if not given:
-        a.note("without --cell, lengths in the camera are in cells of its sensor, not in µm")
+        a.note(
+            "without --pixel-pitch, lengths in the camera are in pixels of its sensor, not in µm"
+        )
     paths = [home_path(name) for name in a.source]
     photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
     a.protect(photos)
@@ -67,7 +69,7 @@ def run(a: argparse.Namespace) -> Files:
     for photo, size in sizes.items():
         if size != usual_size:
             leave_out(photo, f"its size is {size} px, of most {usual_size}")
-    scales = {"pitch": a.pitch, "pixel_size": a.cell or 1.0, "focal_length": a.focal_length}
+    scales = {"pitch": a.pitch, "pixel_pitch": a.pixel_pitch or 1.0, "focal_length": a.focal_length}
     result = calibrate([each for _, each in views.values()], **scales)
     usual = np.nanmedian(result.held_out) if np.isfinite(result.held_out).any() else np.inf
     if (result.held_out > 10 * usual).any():

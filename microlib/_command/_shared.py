@@ -22,7 +22,7 @@ _SCALES = {
     "spacing": ("µm", "distance between frames; by default from the file"),
     "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
     "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
-    "cell": ("µm", "size of a sensor pixel"),
+    "pixel_pitch": ("µm", "pixel pitch: distance of neighboring pixels on the sensor"),
     "focal_length": (
         "µm",
         "focal length f of the objective (thin lens: image distance f (1 + magnification)); "

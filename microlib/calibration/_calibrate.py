@@ -35,7 +35,7 @@ def calibrate(
     world: ArrayLike | Sequence[ArrayLike] | Detection | Sequence[Detection],
     image: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
-    pixel_size: float | tuple[float, float],
+    pixel_pitch: float | tuple[float, float],
     pitch: float | None = None,
     focal_length: float | None = None,
     image_size: tuple[int, int] | None = None,
@@ -50,8 +50,8 @@ def calibrate(
     image : array_like, shape (N, 2), or a list of them, optional
         Image points (x, y) of the points in `world`, px. Not needed for a detection, which contains
         the image points.
-    pixel_size : float or (float, float)
-        Size of the sensor pixels, µm.
+    pixel_pitch : float or (float, float)
+        Distance of neighboring pixels on the sensor (pixel pitch), µm.
     pitch : float, optional
         Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
@@ -112,18 +112,19 @@ def calibrate(
     >>> from microlib.calibration import calibrate, detect_circles
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_circles
-    >>> truth = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700)
+    >>> truth = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700,
+    ...                    pixel_pitch=9.9, image_size=(656, 491))
     >>> photograph = render_circles(truth, pitch=280.0)
     >>> found = calibrate(
-    ...     detect_circles(photograph), pitch=280, pixel_size=9.9, focal_length=126000)
+    ...     detect_circles(photograph), pitch=280, pixel_pitch=9.9, focal_length=126000)
     >>> round(found.microscope.magnification, 3), round(found.microscope.beta, 3)
     (1.587, 0.03)
     """
-    positive("pixel_size", pixel_size)
+    positive("pixel_pitch", pixel_pitch)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, above=0)
     worlds, images, marks, size = _inputs(world, image, pitch, image_size)
-    frame = Microscope(1.0, 1.0, 1.0, pixel_size=pixel_size, image_size=size)
+    frame = Microscope(1.0, 1.0, 1.0, pixel_pitch=pixel_pitch, image_size=size)
     pairs = [_checked_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
     views = Views([w for w, _ in pairs], [i for _, i in pairs], frame, focal_length)
     fit, alone = fit_views(views)

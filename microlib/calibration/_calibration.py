@@ -202,8 +202,9 @@ class Calibration(Result):
         value, low, high : float
         """
         low, high = self.interval("magnification", level)
-        cell = float(self.microscope.cell[0])
-        return cell / self.microscope.magnification, cell / high, cell / low if low else np.inf
+        pixel_pitch = float(self.microscope.pitch[0])
+        low = pixel_pitch / low if low else np.inf
+        return pixel_pitch / self.microscope.magnification, pixel_pitch / high, low
 
     def to_frame(self) -> pd.DataFrame:
         """Return the parameters as a table.
@@ -268,10 +269,10 @@ class Calibration(Result):
         """
         scope = self.microscope
         center = scope.principal_point + np.array([self._value(f"principal_{c}") for c in "xy"])
-        distance = (scope.tube_length + scope.focal_length) / scope.cell
+        distance = (scope.tube_length + scope.focal_length) / scope.pitch
         terms, worst = self._brown()
         width, *ends = self.um_per_pixel()
-        height = width * scope.cell[1] / scope.cell[0]
+        height = width * scope.pitch[1] / scope.pitch[0]
         pixel = np.sqrt(width * height)
         own = {n: v for n, v in vars(self).items() if n != "microscope"}
         own |= {n: np.array(own[n]).astype(str) for n in _NUMBERS}
@@ -337,7 +338,7 @@ class Calibration(Result):
         """
         scope = self.microscope
         distance = scope.tube_length + scope.focal_length
-        corner = float(np.linalg.norm(scope.cell * scope.image_size)) / 2
+        corner = float(np.linalg.norm(scope.pitch * scope.image_size)) / 2
         radius = np.linspace(0, corner)[1:]
         seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
         stretch = seen / radius * (1 + self._value("distortion_k2") * seen**4) - 1
@@ -346,6 +347,6 @@ class Calibration(Result):
         powers = 2 * np.arange(1, 4)
         design = radius * (radius / corner) ** powers
         best = np.linalg.lstsq(design, wanted, rcond=None)[0]
-        worst = np.abs(design @ best - wanted).max() / scope.cell.min()
+        worst = np.abs(design @ best - wanted).max() / scope.pitch.min()
         k1, k2, k3 = (best * (distance / corner) ** powers).tolist()
         return [k1, k2, 0.0, 0.0, k3], float(worst)

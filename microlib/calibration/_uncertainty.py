@@ -50,7 +50,8 @@ def cramer_rao(
     >>> import numpy as np
     >>> from microlib.calibration import cramer_rao
     >>> from microlib.microscope import Microscope
-    >>> scope = Microscope(200490, 126150, 78750, beta=0.05)
+    >>> scope = Microscope(
+    ...     200490, 126150, 78750, beta=0.05, pixel_pitch=9.9, image_size=(656, 491))
     >>> x, y = np.meshgrid(np.linspace(-1500, 1500, 7), np.linspace(-1000, 1000, 5))
     >>> world = np.column_stack([x.ravel(), y.ravel()])
     >>> np.diag(cramer_rao(scope, world, 0.02, ("tube_length", "focal_length", "distance")))

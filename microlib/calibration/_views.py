@@ -75,7 +75,8 @@ class Views:
     def rounding_variance(self, poses: Array) -> float:
         """Variance of a coordinate by rounding alone, px²: a floor for every stated variance."""
         scaled = [
-            pose[0] * world / self.frame.cell for pose, world in zip(poses, self.world, strict=True)
+            pose[0] * world / self.frame.pitch
+            for pose, world in zip(poses, self.world, strict=True)
         ]
         return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.image))) ** 2)
 
@@ -111,7 +112,7 @@ class Views:
             h_by_magnification = inverse_principal / (1 + magnification)
         inverse_depth = magnification * inverse_principal
         camera = np.array([magnification, inverse_depth, distortion, *pose[1:]])
-        points, by_camera = Microscope.project_plane(camera, world, self.frame.cell)
+        points, by_camera = Microscope.project_plane(camera, world, self.frame.pitch)
         m = len(LENS)  # the column of the magnification; α to T_y follow
         camera_by = np.zeros((len(camera), m + len(POSE)))  # (M, h, κ, α … T_y) by all parameters
         camera_by[0, m] = 1.0
@@ -121,10 +122,10 @@ class Views:
 
         # The other terms of the lens: p (1 + κ₂ r⁴) + c, with r in µm of a point p that κ has
         # distorted. Its derivative by p is (1 + κ₂ r⁴) I + 2 κ₂ r² p (dr²/dp)ᵀ.
-        sensor = points * self.frame.cell
+        sensor = points * self.frame.pitch
         r2 = (sensor**2).sum(axis=1)[:, np.newaxis]
         stretch = 1 + distortion_k2 * r2**2
-        r2_by_points = 2 * sensor * self.frame.cell
+        r2_by_points = 2 * sensor * self.frame.pitch
         by_points = stretch[..., np.newaxis] * np.eye(2)
         by_points += (2 * distortion_k2 * r2 * points)[:, :, np.newaxis] * r2_by_points[
             :, np.newaxis
@@ -248,7 +249,7 @@ def least_squares_fit(views: Views, lens: Array, poses: Array, lens_free: list[i
 
 def _starts(one: Views) -> list[tuple[Array, Array]]:
     """Lens and pose of one view in closed form, for each sign of the tilt."""
-    world, sensor = one.world[0], one.image[0] * one.frame.cell
+    world, sensor = one.world[0], one.image[0] * one.frame.pitch
     alpha, beta, gamma, tx, ty = radial_alignment(world, sensor)
     starts = []
     for sign in (1, -1):

@@ -62,7 +62,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     curve : GaussianSum
         Outline, in px, with y up.
     pixel_size : float
-        Size of a pixel in the object plane, cell size over magnification CS/M, in µm/px.
+        Size of a pixel in the object plane, pixel pitch over magnification CS/M, in µm/px.
     rim : {"left", "right"}
         Side of the dimple that is measured. The thesis measures the left side. An asymmetric
         outline has another radius, depth and modulus on its right side.

@@ -9,7 +9,7 @@ from microlib._common import Array, as_array, positive, same_length, scalar, who
 
 
 def point_jacobian(
-    points: ArrayLike, *, depth: ArrayLike, magnification: float, pixel_size: ArrayLike
+    points: ArrayLike, *, depth: ArrayLike, magnification: float, pixel_pitch: ArrayLike
 ) -> Array:
     r"""Return the image Jacobian of points rigidly attached to the end effector (2.25).
 
@@ -32,8 +32,9 @@ def point_jacobian(
         Z of the points in the objective's frame, µm.
     magnification : float
         Total magnification M.
-    pixel_size : array_like, shape (2,) or ()
-        Width and height (s_x, s_y) of a sensor cell, µm.
+    pixel_pitch : array_like, shape (2,) or ()
+        Pixel pitch of the sensor along x and y, (s_x, s_y), µm; not the pixel size in the object
+        plane.
 
     Returns
     -------
@@ -43,18 +44,19 @@ def point_jacobian(
     Raises
     ------
     ValueError
-        If a shape does not fit, a value is not finite, or the magnification or a pixel size is not
+        If a shape does not fit, a value is not finite, or the magnification or a pixel pitch is not
         positive.
 
     Notes
     -----
     The thesis calls s_x and s_y effective pixel sizes, the name that §5.4 gives to s/M.
-    Equation (2.22) holds for the cells of the sensor; with s/M the magnification would count twice.
+    Equation (2.22) holds for the pixel pitch of the sensor; with s/M the magnification would count
+    twice.
 
     Examples
     --------
     >>> from microlib.servoing import point_jacobian
-    >>> point_jacobian((10, 20), depth=0.0, magnification=1.6, pixel_size=8.0)
+    >>> point_jacobian((10, 20), depth=0.0, magnification=1.6, pixel_pitch=8.0)
     array([[  0.2,   0. ,   0. ,   0. ,   0. , -20. ],
            [  0. ,   0.2,   0. ,  -0. ,   0. ,  10. ]])
     """
@@ -65,10 +67,10 @@ def point_jacobian(
         "depth", np.full(len(xy), z.item()) if z.size == 1 and z.ndim < 2 else z, shape=(None,)
     )
     same_length(("points", "depth"), xy, z)
-    cell = positive("pixel_size", pixel_size)
-    cell = as_array("pixel_size", np.full(2, cell) if cell.ndim == 0 else cell, shape=(2,))
-    scale_x, scale_y = scalar("magnification", magnification, above=0) / cell
-    aspect = cell[1] / cell[0]
+    pitch = positive("pixel_pitch", pixel_pitch)
+    pitch = as_array("pixel_pitch", np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
+    scale_x, scale_y = scalar("magnification", magnification, above=0) / pitch
+    aspect = pitch[1] / pitch[0]
     jacobian = np.zeros((len(xy), 2, 6))
     jacobian[:, 0, 0] = scale_x
     jacobian[:, 0, 4] = scale_x * z

@@ -389,7 +389,7 @@ def embryo_image(
         Random generator of illumination, texture and noise, or its seed.
     pixel_size : float
         Pixel size in the object plane, in µm; by default that of the Sony XCD-X710CR (4.65 µm
-        cells) behind the magnification 1.2.
+        pixels) behind the magnification 1.2.
     shape : tuple of int
         Rows and columns of the image; by default that camera's.
     center : tuple of float, optional

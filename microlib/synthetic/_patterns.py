@@ -102,7 +102,8 @@ def render_circles(
     --------
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_circles
-    >>> scope = Microscope(200000, 126000, 79380, tx=-140, ty=-140, image_size=(120, 90))
+    >>> scope = Microscope(
+    ...     200000, 126000, 79380, tx=-140, ty=-140, pixel_pitch=9.9, image_size=(120, 90))
     >>> image = render_circles(scope)
     >>> image.shape, float(image.min().round()), float(image.max().round())
     ((90, 120), 50.0, 200.0)
@@ -165,7 +166,8 @@ def render_squares(
     --------
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_squares
-    >>> scope = Microscope(200000, 126000, 79380, tx=-100, ty=-100, image_size=(120, 90))
+    >>> scope = Microscope(
+    ...     200000, 126000, 79380, tx=-100, ty=-100, pixel_pitch=9.9, image_size=(120, 90))
     >>> image = render_squares(scope, counts=(1, 1))
     >>> area = ((200 - image) / 150).sum() * (9.9 / scope.magnification) ** 2  # µm²
     >>> round(float(area) ** 0.5, 1)

@@ -12,7 +12,7 @@ import numpy as np
 from microlib.microscope import Microscope
 
 #: Sensor pixels and an image that are not square; a tilted and turned pattern, in focus.
-SENSOR = {"pixel_size": (9.9, 8.3), "image_size": (656, 491)}
+SENSOR = {"pixel_pitch": (9.9, 8.3), "image_size": (656, 491)}
 SCOPE = Microscope(2e5, 126e3, 79380, -8e-10, 0.3, 0.2, -0.15, -900, -700, **SENSOR)
 #: Positions of a stage, µm.
 MOVES = np.array([[0.0, 0], [40, 0], [0, 55], [-40, 0], [0, -40], [35, 40], [-40, 30]])
@@ -33,7 +33,7 @@ def imperfect_projection(scope, world, *, bend=0.0, aside=(0.0, 0.0), k2=0.0):
     """Image of a pattern on a bent plane, a principal point aside, and a second distortion term."""
     bent = np.column_stack([world, bend * (world[:, 0] / 2000) ** 2])
     points = scope.project(bent) - scope.principal_point
-    r2 = ((points * scope.cell) ** 2).sum(axis=1, keepdims=True)
+    r2 = ((points * scope.pitch) ** 2).sum(axis=1, keepdims=True)
     return points * (1 + k2 * r2**2) + scope.principal_point + aside
 
 

@@ -24,7 +24,7 @@ from tests.calibration.scenes import SCOPE, SENSOR, grid_in_view, imperfect_proj
 F, M = SCOPE.focal_length, SCOPE.magnification
 POSE = ("alpha", "beta", "gamma", "tx", "ty")
 NOISE = 0.02
-CAMERA = {"pixel_size": 8.0, "image_size": (640, 480)}
+CAMERA = {"pixel_pitch": 8.0, "image_size": (640, 480)}
 
 
 def tilted(beta, gamma):
@@ -79,7 +79,7 @@ def test_linear_intrinsics_are_exact_without_distortion(distortion, precision):
     scope = replace(tilted(2, 1.5), distortion=distortion)
     world = grid_in_view(scope)
     frame = scope.to_objective(world)
-    sensor = (scope.project(world) - scope.principal_point) * scope.cell
+    sensor = (scope.project(world) - scope.principal_point) * scope.pitch
     found = linear_intrinsics(frame[:, :2], frame[:, 2] - F - F / M, sensor)
     np.testing.assert_allclose(found, [M, distortion, 1 / (F + F / M)], rtol=precision, atol=1e-20)
 
@@ -104,7 +104,7 @@ def test_exact_data_give_exact_pose_and_lens(
     scope = Microscope(2e5, f, f / magnification, distortion, *turns, *shift, **SENSOR)
     world = grid_in_view(scope, pitch=500 / magnification)
     image = scope.project(world)
-    start = radial_alignment(world, (image - scope.principal_point) * scope.cell)
+    start = radial_alignment(world, (image - scope.principal_point) * scope.pitch)
     # It uses only the directions of the points, which are the same for either sign of the tilt.
     sign = [1, np.sign(start[1]), np.sign(start[1])]
     np.testing.assert_allclose(np.exp(1j * start[:3] * sign), np.exp(1j * turns), atol=1e-6)
@@ -187,7 +187,7 @@ def test_determined_focal_length_may_exceed_a_kilometer():
     """The pattern is in a smaller unit than µm; an earlier version returned one kilometer."""
     scope = tilted(15, 10)
     world = grid_in_view(scope)
-    big = SENSOR | {"pixel_size": (9.9e5, 8.3e5)}
+    big = SENSOR | {"pixel_pitch": (9.9e5, 8.3e5)}
     found = calibrate(1e5 * world, noisy(scope.project(world), 2), **big)
     low, high = found.interval("focal_length")
     assert low < 1e5 * F < high
@@ -247,7 +247,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
         kept = ~np.isin(groups, which)
         part = ("points", "grid", "sigma", "group", "positions")
         found = replace(whole, **{name: getattr(whole, name)[kept] for name in part})
-        return calibrate(found, pitch=400, focal_length=F, pixel_size=SENSOR["pixel_size"])
+        return calibrate(found, pitch=400, focal_length=F, pixel_pitch=SENSOR["pixel_pitch"])
 
     found = left_out()
     changes = np.array([left_out(g).estimate for g in range(12)]) - found.estimate
@@ -322,7 +322,7 @@ def detection(scope):
 def test_detections_need_only_pitch_and_pixel_size():
     scopes = [tilted(6, 1), tilted(-8, 5)]
     found = [detection(scope) for scope in scopes]
-    sensor = {"pixel_size": SENSOR["pixel_size"], "focal_length": F}
+    sensor = {"pixel_pitch": SENSOR["pixel_pitch"], "focal_length": F}
     one = calibrate(found[0], pitch=280, **sensor)
     world = 280 * found[0].positions
     again = calibrate(world, found[0].points, **sensor, image_size=(656, 491))
@@ -333,7 +333,7 @@ def test_detections_need_only_pitch_and_pixel_size():
 
 FOUND = detection(SCOPE)
 OTHER = [replace(FOUND, image_size=size) for size in ((656, 490), (657, 491))]
-NO_SIZE = {"pixel_size": 9.9}
+NO_SIZE = {"pixel_pitch": 9.9}
 
 
 @pytest.mark.parametrize(

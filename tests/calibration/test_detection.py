@@ -18,7 +18,7 @@ from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 from tests.calibration.scenes import outline
 
-SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, image_size=(300, 240))
+SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, pixel_pitch=9.9, image_size=(300, 240))
 CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = map(thesis.microscope, thesis.COLUMNS)
 
 
@@ -64,7 +64,7 @@ def test_rendered_edge_equals_its_exact_integral():
 @settings(deadline=None, max_examples=15)
 def test_rendered_area_of_a_circle_is_exact(turn, x, y):
     """Without blur, the dark area is that of the circle on the sensor."""
-    scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, image_size=(80, 80))
+    scope = Microscope(2e5, 1e5, 5e4, alpha=turn, tx=x, ty=y, pixel_pitch=9.9, image_size=(80, 80))
     sharp = ImagingConditions(blur=0.0)
     image = render_circles(scope, radius=80, counts=(1, 1), imaging=sharp)
     # Edges are straight within cells of a third of a pixel, a relative error of (1/3)²/(24 r²) with
@@ -128,7 +128,9 @@ def test_all_complete_marks_of_thesis_views_are_detected(kind, scope, size, pitc
 
 def test_bias_of_circles_under_perspective_is_removed():
     """The centers of the ellipses are up to 0.1 px from the images of the circles' centers."""
-    scope = Microscope(4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, image_size=(656, 491))
+    scope = Microscope(
+        4000, 2000, 1000, 0.0, 0.1, 0.35, 0.0, -700, -500, pixel_pitch=9.9, image_size=(656, 491)
+    )
     found = detect_circles(render_circles(scope, radius=60, pitch=200, counts=(8, 6)))
     # Model error only (no noise): 3 % of the bias.
     assert np.abs(errors(scope, found, 200.0)).max() < 0.003
@@ -142,7 +144,9 @@ def test_bias_of_circles_under_perspective_is_removed():
         # At ten times the thesis' distortion, lines through the bent sides cross up to 0.08 px from
         # the corners. The correction assumes equal weights along a side and leaves a fifth of it.
         (
-            Microscope(2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, image_size=(420, 340)),
+            Microscope(
+                2e5, 1e5, 5e4, 8e-9, 0.1, tx=-1000, ty=-800, pixel_pitch=9.9, image_size=(420, 340)
+            ),
             300.0,
             0.02,
         ),

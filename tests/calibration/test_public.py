@@ -28,13 +28,13 @@ from tests.test_microscope import pose
 
 WORLD = grid_in_view(SCOPE)[::3]
 IMAGE = SCOPE.project(WORLD) + np.random.default_rng(5).normal(0, 0.02, WORLD.shape)
-SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.cell
+SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.pitch
 FLAT = SCOPE.to_objective(WORLD)
 
 
 def seen(u):
     """The arguments of a calibration."""
-    sensor = SENSOR | {"pixel_size": (9.9 * u.um, 8.3 * u.um)}
+    sensor = SENSOR | {"pixel_pitch": (9.9 * u.um, 8.3 * u.um)}
     return {"world": WORLD * u.um, "image": IMAGE, "focal_length": 126e3 * u.um, **sensor}
 
 

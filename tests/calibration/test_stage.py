@@ -81,7 +81,7 @@ def test_json_describes_the_camera_to_other_programs():
         pose = [np.array(camera[n][view]) for n in ("rotation_vectors", "translation_vectors_um")]
         seen = cv2.projectPoints(np.column_stack([world, 0 * world[:, 0]]), *pose, *lens)[0][:, 0]
         assert np.abs(seen - image).max() < camera["distortion_model_error_px"] + 1e-4
-    width, height = SCOPE.cell / SCOPE.magnification
+    width, height = SCOPE.pitch / SCOPE.magnification
     assert content["imagej"]["pixel_width"] == pytest.approx(width)
     assert content["imagej"]["pixel_height"] == pytest.approx(height)
     # The root of the area, as Micro-Manager has it of an affine map.

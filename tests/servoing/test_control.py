@@ -14,11 +14,11 @@ WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
 
 
 def test_jacobian_is_the_derivative_of_the_projection():
-    m, cell = 6.4, np.array([9.9, 7.4])
+    m, pitch = 6.4, np.array([9.9, 7.4])
     world = np.array([[120.0, -80, 300], [-40, 210, 350], [15, 25, 280]])
-    project = lambda p: m * p[:, :2] / cell  # noqa: E731  (2.22)
+    project = lambda p: m * p[:, :2] / pitch  # noqa: E731  (2.22)
     jacobian = servoing.point_jacobian(
-        project(world), depth=world[:, 2], magnification=m, pixel_size=cell
+        project(world), depth=world[:, 2], magnification=m, pixel_pitch=pitch
     )
     step = 1e-6
     for axis in range(6):

@@ -10,7 +10,9 @@ from microlib.microscope import Microscope
 
 def test_center_pixel_of_a_square_is_dark():
     """Its middle is as far from either side: that leaked a division by zero."""
-    straight = Microscope(200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, image_size=(21, 21))
+    straight = Microscope(
+        200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, pixel_pitch=9.9, image_size=(21, 21)
+    )
     image = synthetic.render_squares(straight, side=120.0)
     assert straight.project([[60.0, 60.0]]).round(9).tolist() == [[10.0, 10.0]]
     assert image[10, 10] == image.min()
@@ -18,7 +20,9 @@ def test_center_pixel_of_a_square_is_dark():
 
 def test_edges_equal_dense_sampling():
     """A tilted, distorted square against scikit-image's polygon on a 15-fold finer grid."""
-    scope = Microscope(2e5, 1e5, 5e4, 5e-8, 0.4, 0.3, -0.2, tx=-60, ty=-80, image_size=(80, 70))
+    scope = Microscope(
+        2e5, 1e5, 5e4, 5e-8, 0.4, 0.3, -0.2, tx=-60, ty=-80, pixel_pitch=9.9, image_size=(80, 70)
+    )
     light = synthetic.ImagingConditions(blur=0.0)
     image = synthetic.render_squares(scope, side=150, counts=(1, 1), imaging=light)
     t = np.linspace(0, 1, 50, endpoint=False)

@@ -147,7 +147,7 @@ def test_rendered_pattern_follows_transposed_camera(draw):
     """Light, counts, cells and place swapped between the axes make the picture transposed."""
     light = replace(imaging(Units()), noise=0.0)
     one = draw(scope(Units()), counts=(3, 2), imaging=light)
-    turned = scope(Units(), tx=-190.0, ty=-310.0, pixel_size=(8.3, 9.9), image_size=(80, 110))
+    turned = scope(Units(), tx=-190.0, ty=-310.0, pixel_pitch=(8.3, 9.9), image_size=(80, 110))
     other = draw(turned, counts=(2, 3), imaging=replace(light, gradient=light.gradient[::-1]))
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 

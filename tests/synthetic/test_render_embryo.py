@@ -69,7 +69,7 @@ def test_edges_in_the_image_are_at_the_true_outline():
     column = scene.image[:, round(rim_x)].astype(float)
     near = np.arange(round(rim_y) - 3, round(rim_y) + 4)
     ground, fluid = column[near[0] - 5], column[near[-1] + 5]
-    # Blur of 1 px and a sensor cell of variance 1/12 px².
+    # Blur of 1 px and a sensor pixel of variance 1/12 px².
     step = ground + (fluid - ground) * ndtr((near - rim_y) / np.sqrt(13 / 12))
     dark = step - column[near]
     # Centroid of the dark line, 8-bit; a column half a px beside the rim lies 0.01 px lower.

@@ -135,7 +135,8 @@ def detect_circles(image: ArrayLike) -> Detection:
     >>> from microlib.calibration import detect_circles
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_circles
-    >>> scope = Microscope(200000, 126000, 79380, tx=-300, ty=-300, image_size=(160, 120))
+    >>> scope = Microscope(
+    ...     200000, 126000, 79380, tx=-300, ty=-300, pixel_pitch=9.9, image_size=(160, 120))
     >>> found = detect_circles(render_circles(scope))
     >>> error = found.points - scope.project(280.0 * found.positions)
     >>> len(found.points), bool(abs(error).max() < 0.01)
@@ -192,7 +193,8 @@ def detect_squares(
     >>> from microlib.calibration import detect_squares
     >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_squares
-    >>> scope = Microscope(200000, 126000, 79380, tx=-450, ty=-330, image_size=(160, 120))
+    >>> scope = Microscope(
+    ...     200000, 126000, 79380, tx=-450, ty=-330, pixel_pitch=9.9, image_size=(160, 120))
     >>> found = detect_squares(render_squares(scope))
     >>> error = found.points - scope.project(200.0 * found.grid)
     >>> len(found.points), bool(abs(error).max() < 0.01), round(found.side, 3)
