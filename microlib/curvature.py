@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HK_NAMES",
+    "Curvature",
+    "Windows",
     "clean_labels",
     "curvature_windows",
     "hk_labels",
@@ -72,14 +74,14 @@ class Curvature(Result):
     mean, gaussian : ndarray of float64, shape (rows, cols)
         H in 1/µm and K in 1/µm² (3.22, 3.23). NaN where a window extends beyond the map or contains
         a NaN.
-    mean_error, gaussian_error : ndarray of float64, shape (rows, cols)
-        Standard errors of H and K, in the same units. NaN if the noise is unknown.
+    mean_uncertainty, gaussian_uncertainty : ndarray of float64, shape (rows, cols)
+        Standard uncertainties of H and K, in the same units. NaN if the noise is unknown.
     """
 
     mean: Array
     gaussian: Array
-    mean_error: Array
-    gaussian_error: Array
+    mean_uncertainty: Array
+    gaussian_uncertainty: Array
 
 
 def curvature_windows(size: int = 7) -> Windows:
@@ -137,7 +139,7 @@ def surface_curvature(
     size: int = 7,
     noise: float | None = None,
 ) -> Curvature:
-    """Return mean and Gaussian curvature of a height map, with their standard errors.
+    """Return mean and Gaussian curvature of a height map, with their standard uncertainties.
 
     Parameters
     ----------
@@ -150,23 +152,22 @@ def surface_curvature(
         `size` − 1 pixels on a side.
     noise : float, optional
         Standard deviation of the height errors, µm. The errors are assumed to be independent from
-        pixel to pixel. Without `noise` the standard errors are NaN. If the rounding error of the
+        pixel to pixel. Without `noise` the uncertainties are NaN. If the rounding error of the
         floating-point type of `height` is larger than `noise`, the rounding error is used.
 
     Returns
     -------
     Curvature
-        ``mean`` (1/µm) and ``gaussian`` (1/µm²) with their standard errors ``mean_error`` and
-        ``gaussian_error``, arrays of the shape of the map. The values are NaN in a band of
-        `size` − 1 pixels along the border and around every NaN.
+        ``mean`` (1/µm) and ``gaussian`` (1/µm²) with their standard uncertainties
+        ``mean_uncertainty`` and ``gaussian_uncertainty``, arrays of the shape of the map. The
+        values are NaN in a band of `size` − 1 pixels along the border and around every NaN.
 
     Raises
     ------
     ValueError
         If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If the map
-        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``, or if its
-        coordinates have a unit and their spacing is not `pixel_size`. If `pixel_size` is not
-        positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
+        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``. If `pixel_size` is
+        not positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
 
     Warns
     -----
@@ -182,13 +183,12 @@ def surface_curvature(
     are divided by its square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size,
     which determines the units of H and K and of their thresholds.
 
-    The standard errors assume independent errors of the heights. The standard error of a second
-    derivative is `noise` times the root of the sum of the squared window coefficients, divided by
-    the square of the pixel size. The standard error of H is computed to first order in the errors
-    of the second derivatives, and the standard error of K to second order. The second order is
-    needed because the terms of first order vanish on a plane. Errors of the first derivatives are
-    neglected, because their effect is smaller by the ratio of the window size to the radius of
-    curvature.
+    The uncertainties assume independent errors of the heights. That of a second derivative is
+    `noise` times the root of the sum of the squared window coefficients, divided by the square of
+    the pixel size. The uncertainty of H is computed to first order in the errors of the second
+    derivatives, and the uncertainty of K to second order. The second order is needed because the
+    terms of first order vanish on a plane. Errors of the first derivatives are neglected, because
+    their effect is smaller by the ratio of the window size to the radius of curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same
@@ -206,89 +206,97 @@ def surface_curvature(
     (-0.01, 0.0001)
     """
     n = whole("size", size, least=3, odd=True)
-    z = as_map("height", height)
-    unit = str(getattr(height, "attrs", {}).get("units", "µm"))  # of an xarray.DataArray
-    if MICROMETERS.get(unit) != 1:
+    unit = getattr(height, "attrs", {}).get("units") or "µm"  # of an xarray.DataArray
+    if MICROMETERS.get(str(unit)) != 1:
         raise ValueError(f"height must be in µm, got {unit}")
+    z = as_map("height", height)
     pitches = positive("pixel_size", pixel_size)
     if pitches.shape not in ((), (2,)):
         raise ValueError(f"pixel_size must be a number or (x, y), got shape {pitches.shape}")
-    pitch_x, pitch_y = np.broadcast_to(pitches, 2)
-    for axis, pitch in (("x", pitch_x), ("y", pitch_y)):
-        own = _spacing(height, axis)
-        if own is not None and abs(own - pitch) > 1e-3 * pitch:
-            raise ValueError(
-                f"pixel_size must be that of the coordinates of height, {own:g} µm along {axis}, "
-                f"got {pitch:g}"
-            )
-    sigma = np.nan if noise is None else scalar("noise", noise, least=0)
+    pitches = np.broadcast_to(pitches, 2)
+    noise_std = np.nan if noise is None else scalar("noise", noise, least=0)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
+    # Windows that smooth, and give value, slope and second derivative of a parabola.
     windows = curvature_windows(n)
-    value, slope, second = (
-        np.convolve(windows.smooth, window)
-        for window in (windows.mean, windows.slope, windows.second_derivative)
-    )
+    fits = (windows.mean, windows.slope, windows.second_derivative)
+    kernels = [np.convolve(windows.smooth, window) for window in fits]
     unknown = np.isnan(z)
-    filled, border = np.where(unknown, 0.0, z), cv2.BORDER_REPLICATE
-    zx, zy, zxx, zyy, zxy = (
-        cv2.sepFilter2D(filled, cv2.CV_64F, along_x, along_y, borderType=border) / pitch
-        for pitch, along_x, along_y in (
-            (pitch_x, slope, value),
-            (pitch_y, value, slope),
-            (pitch_x**2, second, value),
-            (pitch_y**2, value, second),
-            (pitch_x * pitch_y, slope, slope),
-        )
-    )
-    blind = cv2.dilate(unknown.astype(np.uint8), np.ones((2 * n - 1,) * 2, np.uint8)) > 0
-    margin = n - 1
-    blind[:margin], blind[-margin:], blind[:, :margin], blind[:, -margin:] = True, True, True, True
-    if not blind.all() and (steepness := float(np.median(np.hypot(zx, zy)[~blind]))) > 4:
+    filled = np.where(unknown, 0.0, z)
+    d = _differentiate(filled, kernels, pitches)
+    # Pixels whose windows contain an unknown height or extend beyond the map.
+    box, outside = np.ones((2 * n - 1,) * 2, np.uint8), cv2.BORDER_CONSTANT
+    blind = cv2.dilate(unknown.astype(np.uint8), box, borderType=outside, borderValue=1) > 0
+    if not blind.all() and (steepness := float(np.median(np.hypot(d.x, d.y)[~blind]))) > 4:
         warnings.warn(
             f"height has a median slope of {steepness:.3g}: it must have the unit of pixel_size",
             stacklevel=2,
         )
 
-    squared = 1 + zx**2 + zy**2
-    ex, ey = 1 + zx**2, 1 + zy**2
-    mean = (ex * zyy - 2 * zx * zy * zxy + ey * zxx) / (2 * squared**1.5)  # (3.22)
-    gaussian = (zxx * zyy - zxy**2) / squared**2  # (3.23)
-
+    ex, ey = 1 + d.x**2, 1 + d.y**2
+    squared = ex + d.y**2
+    mean = (ex * d.yy - 2 * d.x * d.y * d.xy + ey * d.xx) / (2 * squared**1.5)  # (3.22)
+    gaussian = (d.xx * d.yy - d.xy**2) / squared**2  # (3.23)
     # Rounding of a sum over 2n − 1 pixels a side is at most this fraction of the heights.
     kind = np.asarray(height).dtype
     eps = np.finfo(kind if kind.kind == "f" else np.float64).eps
     rounding = (2 * n - 1) * float(eps) * np.abs(filled).max()
+    uncertainties = _uncertainties(d, kernels, np.maximum(noise_std, rounding) / pitches**2)
+    values = (np.where(blind, np.nan, each) for each in (mean, gaussian, *uncertainties))
+    return Curvature(*values)
+
+
+class _Derivatives(NamedTuple):
+    """First and second derivatives of a height map; no unit, and 1/µm."""
+
+    x: Array
+    y: Array
+    xx: Array
+    yy: Array
+    xy: Array
+
+
+def _differentiate(z: Array, kernels: list[Array], pitches: Array) -> _Derivatives:
+    """Return the derivatives (3.20) and (3.21) of a map without NaN."""
+    (value, slope, second), (pitch_x, pitch_y) = kernels, pitches
+    passes = (
+        (slope, value, pitch_x),
+        (value, slope, pitch_y),
+        (second, value, pitch_x**2),
+        (value, second, pitch_y**2),
+        (slope, slope, pitch_x * pitch_y),
+    )
+    border = cv2.BORDER_REPLICATE
+    maps = (
+        cv2.sepFilter2D(z, cv2.CV_64F, *pair, borderType=border) / unit for *pair, unit in passes
+    )
+    return _Derivatives(*maps)
+
+
+def _uncertainties(d: _Derivatives, kernels: list[Array], noise: Array) -> tuple[Array, Array]:
+    """Return the uncertainties of H and K.
+
+    `noise` is the standard deviation of the heights, divided by the square of the pixel size along
+    x and along y.
+    """
+    value, slope, second = kernels
     # Covariance of (zxx, zyy, zxy). The mixed window is odd in x and y, so that zxy is uncorrelated
     # with the others.
-    along_x, along_y = (np.maximum(sigma, rounding) / np.array([pitch_x, pitch_y]) ** 2) ** 2
-    var_xx, var_yy = np.sum(second**2) * np.sum(value**2) * np.array([along_x, along_y])
-    cov_xx_yy = np.sqrt(along_x * along_y) * np.sum(second * value) ** 2
-    var_xy = np.sqrt(along_x * along_y) * np.sum(slope**2) ** 2
+    var_xx, var_yy = np.sum(second**2) * np.sum(value**2) * noise**2
+    cov_xx_yy = noise.prod() * np.sum(second * value) ** 2
+    var_xy = noise.prod() * np.sum(slope**2) ** 2
+    ex, ey = 1 + d.x**2, 1 + d.y**2
+    squared = ex + d.y**2
     mean_variance = (
-        var_yy * ex**2 + var_xx * ey**2 + 2 * cov_xx_yy * ex * ey + var_xy * (2 * zx * zy) ** 2
+        var_yy * ex**2 + var_xx * ey**2 + 2 * cov_xx_yy * ex * ey + var_xy * (2 * d.x * d.y) ** 2
     ) / (4 * squared**3)
     # First order of the measured derivatives, whose squares contain the second order of the noise.
     second_order = var_xx * var_yy + cov_xx_yy**2 + 2 * var_xy**2
-    first_order = var_xx * zyy**2 + var_yy * zxx**2
-    first_order += 2 * cov_xx_yy * zxx * zyy + 4 * var_xy * zxy**2
+    first_order = var_xx * d.yy**2 + var_yy * d.xx**2
+    first_order += 2 * cov_xx_yy * d.xx * d.yy + 4 * var_xy * d.xy**2
     gaussian_variance = np.maximum(first_order - second_order, second_order) / squared**4
-    return Curvature(
-        mean=np.where(blind, np.nan, mean),
-        gaussian=np.where(blind, np.nan, gaussian),
-        mean_error=np.where(blind, np.nan, np.sqrt(mean_variance)),
-        gaussian_error=np.where(blind, np.nan, np.sqrt(gaussian_variance)),
-    )
-
-
-def _spacing(height: ArrayLike, axis: str) -> float | None:
-    """Return the spacing of an xarray.DataArray's coordinate in µm; None without a known unit."""
-    coordinate: Any = getattr(height, "coords", {}).get(axis)
-    factor = MICROMETERS.get(str(getattr(coordinate, "attrs", {}).get("units")))
-    if factor is None or len(coordinate) < 2:
-        return None
-    return factor * abs(float(coordinate[1] - coordinate[0]))
+    return np.sqrt(mean_variance), np.sqrt(gaussian_variance)
 
 
 def hk_labels(
@@ -307,7 +315,7 @@ def hk_labels(
         K in 1/µm², of the shape of `mean`. Required if `mean` is an array, and only then.
     h_zero, k_zero : float or array_like, optional
         Thresholds: the largest magnitudes of H and K that count as zero, in the same units, for all
-        pixels or for each. By default 3.5 standard errors of a `Curvature` of known noise, which
+        pixels or for each. By default 3.5 uncertainties of a `Curvature` of known noise, which
         noise exceeds at one of 2000 pixels.
 
     Returns
@@ -319,7 +327,7 @@ def hk_labels(
     ------
     ValueError
         If the shapes differ, a threshold is negative or missing, or the default thresholds are
-        wanted for a `Curvature` without standard errors.
+        wanted for a `Curvature` without uncertainties.
 
     Notes
     -----
@@ -347,30 +355,46 @@ def hk_labels(
     if isinstance(mean, Curvature):
         if gaussian is not None:
             raise ValueError("gaussian must not be given with a Curvature")
-        curved = mean
-        mean, gaussian = curved.mean, curved.gaussian
-        known = np.isfinite(curved.mean)
-        no_errors = known.any() and np.isnan(curved.mean_error[known]).all()
-        if (h_zero is None or k_zero is None) and no_errors:
-            raise ValueError(
-                "h_zero and k_zero must be given for a Curvature without standard errors, or "
-                "surface_curvature must be given the noise of the heights"
-            )
-        h_zero = 3.5 * curved.mean_error if h_zero is None else h_zero
-        k_zero = 3.5 * curved.gaussian_error if k_zero is None else k_zero
+        h_zero, k_zero = _noise_limits(mean, h_zero, k_zero)
+        mean, gaussian = mean.mean, mean.gaussian
     if gaussian is None or h_zero is None or k_zero is None:
         raise ValueError("gaussian, h_zero and k_zero must be given with an array, got None")
-    values = {"mean": mean, "gaussian": gaussian, "h_zero": h_zero, "k_zero": k_zero}
-    h, k, h_limit, k_limit = (as_array(name, values[name], finite=False) for name in values)
-    for name, value in (("gaussian", k), ("h_zero", h_limit), ("k_zero", k_limit)):
-        if value.shape != h.shape and (value.ndim or name == "gaussian"):
-            raise ValueError(f"{name} must have the shape {h.shape} of mean, got {value.shape}")
-        if name != "gaussian" and (value < 0).any():
-            raise ValueError(f"{name} must be zero or positive, got {np.nanmin(value):g}")
-    known = ~np.isnan(h + k + h_limit + k_limit)
-    sign_h = (h > h_limit).astype(np.int8) - (h < -h_limit)  # (3.24)
-    sign_k = (k > k_limit).astype(np.int8) - (k < -k_limit)
-    return np.where(known, 1 + 3 * (1 + sign_h) + (1 - sign_k), 0).astype(np.uint8)
+    h = as_array("mean", mean, finite=False)
+    k = as_array("gaussian", gaussian, finite=False)
+    if k.shape != h.shape:
+        raise ValueError(f"gaussian must have the shape {h.shape} of mean, got {k.shape}")
+    sign_h = _signs(h, "h_zero", h_zero)
+    sign_k = _signs(k, "k_zero", k_zero)
+    labels = 1 + 3 * (1 + sign_h) + (1 - sign_k)  # (3.25)
+    return np.where(np.isnan(labels), 0, labels).astype(np.uint8)
+
+
+def _noise_limits(
+    curvature: Curvature, h_zero: ArrayLike | None, k_zero: ArrayLike | None
+) -> tuple[ArrayLike, ArrayLike]:
+    """Return the thresholds, by default those that noise exceeds at one of 2000 pixels."""
+    known = np.isfinite(curvature.mean)
+    without = known.any() and np.isnan(curvature.mean_uncertainty[known]).all()
+    if without and (h_zero is None or k_zero is None):
+        raise ValueError(
+            "h_zero and k_zero must be given for a Curvature without uncertainties, or "
+            "surface_curvature must be given the noise of the heights"
+        )
+    return (
+        3.5 * curvature.mean_uncertainty if h_zero is None else h_zero,
+        3.5 * curvature.gaussian_uncertainty if k_zero is None else k_zero,
+    )
+
+
+def _signs(values: Array, name: str, zero: ArrayLike) -> Array:
+    """Return −1, 0 or 1 for each value (3.24); NaN where the value or its threshold is NaN."""
+    limit = as_array(name, zero, finite=False)
+    if limit.shape not in ((), values.shape):
+        raise ValueError(f"{name} must have the shape {values.shape} of mean, got {limit.shape}")
+    if (limit < 0).any():
+        raise ValueError(f"{name} must be zero or positive, got {np.nanmin(limit):g}")
+    signs = np.where(np.abs(values) > limit, np.sign(values), 0.0)
+    return np.where(np.isnan(values + limit), np.nan, signs)
 
 
 def _regions(labels: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.intp]]:
@@ -463,10 +487,10 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     from skimage.measure import regionprops_table
 
     fields = np.stack([types, curvature.mean, curvature.gaussian], axis=-1)
-    found = regionprops_table(regions, fields, properties=("intensity_mean", "area", "centroid"))
+    measured = regionprops_table(regions, fields, properties=("intensity_mean", "area", "centroid"))
     names = {"intensity_mean-0": "label", "area": "area", "intensity_mean-1": "mean"}
     names |= {"intensity_mean-2": "gaussian", "centroid-1": "x", "centroid-0": "y"}
-    table = pd.DataFrame(found)[list(names)].rename(columns=names)
+    table = pd.DataFrame(measured)[list(names)].rename(columns=names)
     table = table.astype({"label": int, "area": int})
     table.insert(1, "name", table["label"].map(HK_NAMES))
     return table.sort_values("area", ascending=False, kind="stable", ignore_index=True)

@@ -64,19 +64,19 @@
     const mixed = scale * sumOfSquares(slope) ** 2;
     const secondOrder = straight ** 2 + cross ** 2 + 2 * mixed ** 2;
     const result = {};
-    for (const name of ["mean", "gaussian", "meanError", "gaussianError"])
+    for (const name of ["mean", "gaussian", "meanUncertainty", "gaussianUncertainty"])
       result[name] = new Float64Array(height.length);
     for (let i = 0; i < height.length; i++) {
       const ex = 1 + zx[i] ** 2, ey = 1 + zy[i] ** 2, steep = 1 + zx[i] ** 2 + zy[i] ** 2;
       const twist = 2 * zx[i] * zy[i];
       result.mean[i] = (ex * zyy[i] - twist * zxy[i] + ey * zxx[i]) / (2 * steep ** 1.5);
       result.gaussian[i] = (zxx[i] * zyy[i] - zxy[i] ** 2) / steep ** 2;
-      result.meanError[i] = Math.sqrt(
+      result.meanUncertainty[i] = Math.sqrt(
         (straight * (ex ** 2 + ey ** 2) + 2 * cross * ex * ey + mixed * twist ** 2) / (4 * steep ** 3),
       );
       const firstOrder =
         straight * (zxx[i] ** 2 + zyy[i] ** 2) + 2 * cross * zxx[i] * zyy[i] + 4 * mixed * zxy[i] ** 2;
-      result.gaussianError[i] = Math.sqrt(Math.max(firstOrder - secondOrder, secondOrder)) / steep ** 2;
+      result.gaussianUncertainty[i] = Math.sqrt(Math.max(firstOrder - secondOrder, secondOrder)) / steep ** 2;
     }
     return result;
   };

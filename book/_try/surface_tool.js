@@ -49,7 +49,7 @@
     const curvature = surfaceCurvature(map, SIDE, SIDE, PITCH, size, noise);
     const labels = hkLabels(curvature.mean, curvature.gaussian, hZero / MILLI, kZero / MILLI ** 2);
     const middle = (field) => field.filter((v) => !Number.isNaN(v)).sort()[Math.floor((SIDE - 2 * size) ** 2 / 2)];
-    errors = [middle(curvature.meanError) * MILLI, middle(curvature.gaussianError) * MILLI ** 2];
+    errors = [middle(curvature.meanUncertainty) * MILLI, middle(curvature.gaussianUncertainty) * MILLI ** 2];
     answer.replaceChildren(
       `The noise gives H a median standard error of ${show(errors[0])} 1/mm, and K a median standard error of ` +
         `${show(errors[1])} 1/mm². With thresholds below two or three standard errors, noise is labeled as shape.`);

@@ -96,8 +96,7 @@ def noisy_labels(noise: float, rng: np.random.Generator) -> tuple[dict[str, NDAr
     maps, shares = {}, {}
     for name, (height, label) in pieces.items():
         bend = surface_curvature(height + noise * rng.standard_normal(x.shape), 1.0, noise=noise)
-        limits = 3.5 * bend.mean_error, 3.5 * bend.gaussian_error
-        maps[name] = hk_labels(bend.mean, bend.gaussian, *limits)
+        maps[name] = hk_labels(bend)
         near = (maps[name] > 0) & (np.hypot(x, y) < 15)
         shares[name] = float(np.mean(maps[name][near] == label))
     return maps, pd.Series(shares)

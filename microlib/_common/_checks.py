@@ -19,11 +19,12 @@ from microlib._common._types import Array, Region
 #: Units of length in OME and ImageJ metadata, in µm: not "pixel", and not "inch", the unit of a
 #: printer's resolution.
 MICROMETERS = {
-    **dict.fromkeys(("nm", "nanometer"), 1e-3),
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
     **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
-    **dict.fromkeys(("mm", "millimeter"), 1e3),
-    **dict.fromkeys(("cm", "centimeter"), 1e4),
-    **dict.fromkeys(("m", "meter"), 1e6),
+    **dict.fromkeys(("micrometre", "micrometers", "micrometres"), 1.0),
+    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
+    **dict.fromkeys(("m", "meter", "metre"), 1e6),
 }
 #: Ranges of quantities under a light microscope, wide enough that only a wrong unit is outside.
 MEASURED = {

@@ -160,7 +160,7 @@ def test_browser_curvature_and_labels_equal_library(tools: Page) -> None:
             const found = surfaceCurvature(Float64Array.from(one[0]), ...one.slice(1));
             const labels = hkLabels(found.mean, found.gaussian, 0.02, 0.001);
             const plain = map => Array.from(map, v => Number.isNaN(v) ? null : v);
-            const names = ["mean", "gaussian", "meanError", "gaussianError"];
+            const names = ["mean", "gaussian", "meanUncertainty", "gaussianUncertainty"];
             return [...names.map(name => plain(found[name])), labels];
         })""",
         inputs,
@@ -168,7 +168,7 @@ def test_browser_curvature_and_labels_equal_library(tools: Page) -> None:
     for one, (*fields, labels) in zip(inputs, found, strict=True):
         height, rows, cols, pitch, size, noise = one
         wanted = surface_curvature(np.reshape(height, (rows, cols)), pitch, size=size, noise=noise)
-        names = ("mean", "gaussian", "mean_error", "gaussian_error")
+        names = ("mean", "gaussian", "mean_uncertainty", "gaussian_uncertainty")
         for name, field in zip(names, np.array(fields, float), strict=True):
             theirs = getattr(wanted, name).ravel()
             # K and H pass zero: what cancels there is measured by the map's largest value.

@@ -11,8 +11,8 @@ Y, X = np.mgrid[0:31, 0:38] / 10.0
 HEIGHT = 3.0 * np.sin(X) * np.cos(0.7 * Y) + 0.4 * X * Y + 0.2 * Y**2
 LABELS = np.random.default_rng(2).integers(0, 10, (5, 6)).repeat(5, axis=0).repeat(4, axis=1)
 FIELDS = {
-    **dict.fromkeys(("mean", "mean_error"), 1 / um),
-    **dict.fromkeys(("gaussian", "gaussian_error"), 1 / um**2),
+    **dict.fromkeys(("mean", "mean_uncertainty"), 1 / um),
+    **dict.fromkeys(("gaussian", "gaussian_uncertainty"), 1 / um**2),
 }
 
 
