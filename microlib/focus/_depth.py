@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -16,16 +15,16 @@ from microlib.focus import multiscale
 from microlib.focus._filters import blur
 from microlib.focus._measures import MEASURES, FocusMeasure, single_measure
 from microlib.focus._peaks import three_point_peak, track_peaks
-from microlib.focus._registration import Registration
 from microlib.focus._registration import register as find_registration
 from microlib.focus._result import DepthMap, FocusResult, build_result
 from microlib.focus._stack import (
     Progress,
-    Stack,
+    bad_frames,
+    grey_levels,
     margin_mask,
     read_stack,
     warn_of_changes,
-    without_bad_frames,
+    with_frames,
 )
 from microlib.io import read_frames
 
@@ -174,44 +173,36 @@ def depth_from_focus(
                 )
         return multiscale.depth_in_blocks(frames, positions, spacing, region)
     report = progress or (lambda done, count: None)
-    reader = read_frames(frames, region=region, reduce=reduce, color=True)
-    stack = read_stack(reader, positions, spacing, report)
-    count, dtype, margin = len(stack.positions), stack.grey[0].dtype, margin_mask(stack.grey)
-    registration = find_registration(stack.grey) if register else None
+    source = read_frames(frames, region=region, reduce=reduce, color=True)
+    stack = read_stack(source, positions, spacing, report)
+    grey = grey_levels(stack)
+    count, dtype, margin = len(grey), stack.dtype, margin_mask(grey)
+    registration = find_registration(grey) if register else None
     if registration is None:
-        stack = without_bad_frames(stack)
-        warn_of_changes(stack.grey)
+        kept = np.flatnonzero(~bad_frames(grey))
+        images, grey = ([frames[k] for k in kept] for frames in (list(stack), grey))
+        warn_of_changes(grey)
     else:
-        stack = registered(stack, registration)
+        kept, grey = registration.kept, registration.images(grey)
+        images = registration.images(list(stack)) if stack.color else grey
+    z = np.asarray(stack.positions)[kept]
+    stack = with_frames(stack, images, z)
 
     def done(share: float) -> None:
         report(round(count * (1 + share)), 2 * count)
 
     if single is None:
-        found = multiscale.multiscale_depth(stack.grey, stack.positions, workers=threads, done=done)
+        found = multiscale.multiscale_depth(grey, z, workers=threads, done=done)
     else:
-        found = three_point_depth(stack.grey, stack.positions, single, done)
+        found = three_point_depth(grey, z, single, done)
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
-    return build_result(found, stack, dtype, registration=registration, margin=margin)
+    return build_result(found, stack, kept, dtype, registration=registration, margin=margin)
 
 
 depth_from_focus.__doc__ = str(depth_from_focus.__doc__).replace(
     "{MEASURES}", "{" + ", ".join(f'"{name}"' for name in ("multiscale", *MEASURES)) + "}"
 )
-
-
-def registered(stack: Stack, registration: Registration) -> Stack:
-    """Return the frames that could be registered, aligned with the middle one."""
-    grey = registration.images(stack.grey)
-    in_color = stack.images is not stack.grey
-    return replace(
-        stack,
-        grey=grey,
-        images=registration.images(stack.images) if in_color else grey,
-        positions=stack.positions[registration.kept],
-        numbers=registration.kept,
-    )
 
 
 def three_point_depth(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image, Tidy, flat_row
 from microlib.focus._registration import Registration
-from microlib.focus._stack import Stack
+from microlib.io import Stack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,6 +185,7 @@ class DepthMap:
 def build_result(
     found: DepthMap,
     stack: Stack,
+    numbers: NDArray[np.intp],
     dtype: np.dtype,
     *,
     registration: Registration | None = None,
@@ -197,7 +198,9 @@ def build_result(
     found : DepthMap
         Depth of every pixel.
     stack : Stack
-        Frames from which it was found, registered if they were.
+        Frames from which it was found, in memory, and registered if they were.
+    numbers : ndarray of int, shape (n,)
+        Number of each of these frames in the source, from which frames may be left out.
     dtype : dtype
         Type of the frames as they were read.
     registration : Registration, optional
@@ -213,19 +216,20 @@ def build_result(
     if margin is not None:
         known &= ~margin
     # A depth at an end of the scan may lie beyond it: it is as uncertain as a random depth.
-    low, high = np.float32(stack.positions.min()), np.float32(stack.positions.max())
+    z = np.asarray(stack.positions)
+    low, high = np.float32(z.min()), np.float32(z.max())
     to_end = np.minimum(found.depth - low, high - found.depth)
     beyond = found.at_end & (to_end < found.spacing / 2)
     random = np.float32((high - low) / np.sqrt(12))
     uncertainty = np.where(beyond, np.hypot(found.uncertainty, random), found.uncertainty)
     relative = uncertainty / np.float32(found.spacing)
-    index = stack.numbers[index].astype(np.int32)
+    index = numbers[index].astype(np.int32)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
         confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
         index=np.where(known, index, -1).astype(np.int32),
-        all_in_focus=as_type(composite(stack.images, found.frame), dtype),
+        all_in_focus=as_type(composite(stack, found.frame), dtype),
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
         corner=stack.corner,

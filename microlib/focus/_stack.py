@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, islice, product
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Image
 from microlib.focus._filters import TINY
 from microlib.focus._peaks import check_count, check_positions
+from microlib.io import Stack
 
 #: Called with the parts of the work that are done, and of how many; an exception ends the work.
 Progress = Callable[[int, int], object]
@@ -25,73 +25,39 @@ _WINDOW = 6
 _NO_FOCUS = {"T": "times", "C": "channels"}
 
 
-@dataclass(frozen=True, eq=False)
-class Stack:
-    """Frames in memory.
-
-    Attributes
-    ----------
-    grey : list of ndarray, shape (rows, cols)
-        Grey levels, or luminance.
-    images : list of ndarray, shape (rows, cols) or (rows, cols, 3)
-        Grey levels or colors, of which the all-in-focus image is made.
-    positions : ndarray of float64, shape (n,)
-        Position of each frame, µm.
-    numbers : ndarray of int, shape (n,)
-        Number of each frame in the source. Frames of the source may be left out of the stack.
-    pixel_size, corner
-        From the frames' reader.
-    """
-
-    grey: list[Image]
-    images: list[Image]
-    positions: Array
-    numbers: NDArray[np.intp]
-    pixel_size: float | None = None
-    corner: tuple[float, float] = (0.0, 0.0)
-
-
 def read_stack(
-    reader: Any, positions: ArrayLike | None, spacing: float | None, progress: Progress
+    source: Stack, positions: ArrayLike | None, spacing: float | None, progress: Progress
 ) -> Stack:
-    """Read all frames, after the checks that need none of them."""
-    if reader.axis in _NO_FOCUS:
+    """Return a stack in memory, with its positions; check first what needs no frame."""
+    if source.axis in _NO_FOCUS:
         raise ValueError(
-            f"frames must differ in focus, got a file of {reader.count} {_NO_FOCUS[reader.axis]} "
-            f"(axis {reader.axis}); if they do, pass the array, as tifffile.imread gives it"
+            f"frames must differ in focus, got a file of {source.count} {_NO_FOCUS[source.axis]} "
+            f"(axis {source.axis}); if they do, pass the array, as tifffile.imread gives it"
         )
-    z, count = None, reader.count
+    z, count = None, source.count
     if spacing is None:
-        z = check_positions(positions, from_file=reader.positions)
+        z = check_positions(positions, from_file=source.positions)
         # The length of an iterator is not known; there must be as many frames as positions.
         count = len(z)
-        check_count(reader.count or count, count)
+        check_count(source.count or count, count)
     images: list[Image] = []
-    for image in islice(reader, None if count is None else count + 1):
+    for image in islice(source, None if count is None else count + 1):
         images.append(image)
         if count is not None:
             progress(min(len(images), count), 2 * count)
-    if not images:
-        raise ValueError("frames must hold at least three frames, got none")
     z = check_positions(positions, spacing, len(images)) if z is None else z
     check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
-    grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in images] if reader.color else images
-    return Stack(grey, images, z, np.arange(len(z)), reader.pixel_size, reader.corner)
+    return with_frames(source, images, z)
 
 
-def without_bad_frames(stack: Stack) -> Stack:
-    """Return a stack without the `bad_frames`; warn if there are some."""
-    bad = bad_frames(stack.grey)
-    if not bad.any():
-        return stack
-    kept = np.flatnonzero(~bad)
-    return replace(
-        stack,
-        grey=[stack.grey[k] for k in kept],
-        images=[stack.images[k] for k in kept],
-        positions=stack.positions[kept],
-        numbers=stack.numbers[kept],
-    )
+def with_frames(stack: Stack, frames: Sequence[Image], positions: Array) -> Stack:
+    """Return a stack of other frames, which are in memory, of the same place and scale."""
+    return replace(stack, frames=frames, first=frames[0], count=len(frames), positions=positions)
+
+
+def grey_levels(stack: Stack) -> list[Image]:
+    """Return the frames of a stack in memory, or their luminance if they are in color."""
+    return [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) if stack.color else f for f in stack]
 
 
 def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
@@ -126,7 +92,7 @@ def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
         names = ", ".join(map(str, np.flatnonzero(bad)))
         warnings.warn(
             f"frames {names} are uniform, repeated or of another brightness: left out",
-            stacklevel=4,
+            stacklevel=3,
         )
     return bad
 

@@ -2,7 +2,8 @@
 
 import microlib._common._opencv  # noqa: F401 – its error names the package
 from microlib.io._files import read_grey, write_height_tiff, write_ply
-from microlib.io._frames import read_frames
 from microlib.io._pictures import image_files as image_files  # not public: for the commands
+from microlib.io._read import read_frames
+from microlib.io._stack import Stack
 
-__all__ = ["read_frames", "read_grey", "write_height_tiff", "write_ply"]
+__all__ = ["Stack", "read_frames", "read_grey", "write_height_tiff", "write_ply"]

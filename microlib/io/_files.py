@@ -11,7 +11,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import MICROMETERS, SOFTWARE, as_array, reject_masks, replace_file, scalar
-from microlib.io._frames import read_frames
+from microlib.io._read import read_frames
 
 
 def read_grey(path: str | PathLike[str]) -> NDArray:

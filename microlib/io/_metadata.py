@@ -10,7 +10,7 @@ import numpy as np
 import tifffile
 
 from microlib._common import MICROMETERS, Array
-from microlib.io._source import Choice
+from microlib.io._stack import Choice
 
 #: Side of a square pixel, µm/px, and positions of the frames, µm; None where they are not known.
 Scale = tuple[float | None, Array | None]
@@ -93,16 +93,15 @@ def _even_positions(step: float, count: int) -> Array | None:
     return step * np.arange(count, dtype=float) if step and np.isfinite(step) else None
 
 
-def label_scale(
-    frames: Any, dims: tuple[Any, ...]
-) -> tuple[float | None, Array | None, tuple[float, float]]:
-    """Return the scale, and x and y of the first pixel, px, from a DataArray's coordinates."""
+def label_scale(frames: Any, dims: tuple[Any, ...]) -> dict[str, Any]:
+    """Return positions, pixel size and corner of a stack from a DataArray's coordinates."""
     z, y, x = (_coordinate(frames, dim) for dim in dims)
     if x is None or y is None or min(len(x), len(y)) < 2:
-        return None, z, (0.0, 0.0)
+        return {"positions": z}
     even = all(np.allclose(np.diff(c), c[1] - c[0], rtol=1e-3, atol=0.0) for c in (x, y))
     size = _square(np.diff(x).mean(), np.diff(y).mean(), "frames") if even else None
-    return size, z, (float(x[0]) / size, float(y[0]) / size) if size else (0.0, 0.0)
+    corner = (float(x[0]) / size, float(y[0]) / size) if size else (0.0, 0.0)
+    return {"positions": z, "pixel_size": size, "corner": corner}
 
 
 def _coordinate(frames: Any, dim: Any) -> Array | None:
@@ -116,8 +115,8 @@ def _coordinate(frames: Any, dim: Any) -> Array | None:
     return None if factor is None else np.asarray(values, dtype=np.float64) * factor
 
 
-def zarr_scale(image: dict[str, Any], axis: str, count: int, name: str) -> Scale:
-    """Return the scale from the metadata of an OME-Zarr image of full size."""
+def zarr_scale(image: dict[str, Any], axis: str, count: int, name: str) -> dict[str, Any]:
+    """Return positions and pixel size of a stack from the metadata of an OME-Zarr image."""
     changes = [
         *image["datasets"][0].get("coordinateTransformations", []),
         *image.get("coordinateTransformations", []),
@@ -128,4 +127,5 @@ def zarr_scale(image: dict[str, Any], axis: str, count: int, name: str) -> Scale
         for each, scale in zip(image["axes"], scales, strict=True)
     }
     z = steps.get("z", np.nan) if axis == "Z" else np.nan
-    return _square(steps["x"], steps["y"], name), _even_positions(z, count)
+    size = _square(steps["x"], steps["y"], name)
+    return {"positions": _even_positions(z, count), "pixel_size": size}

@@ -1,19 +1,19 @@
-"""Stacks of one picture a file, GIF and video."""
+"""Stacks of one picture a file, and video."""
 
 from __future__ import annotations
 
 import glob
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageSequence
+from PIL import ExifTags, Image
 
 from microlib._common import SOFTWARE
-from microlib.io._source import NamedFrames, Source, reading
+from microlib.io._stack import Stack, open_stack, reading
 from microlib.io._tiff import TIFF, open_tiff
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"})
@@ -56,17 +56,18 @@ def image_files(path: Path) -> list[Path]:
     return found
 
 
-def open_pictures(files: Sequence[Path]) -> Source:
+def open_pictures(files: Sequence[Path]) -> Stack:
     """Return one frame a file; EXIF orientation is applied unless it changes among the files."""
     turn = len({_read_exif(file)[0] for file in files}) <= 1
     if not turn:
         warnings.warn("photographs of several orientations are not turned", stacklevel=2)
 
-    def read() -> NamedFrames:
-        for k, file in enumerate(files):
-            yield f"frames[{k}], {file},", read_picture(file, turn)
-
-    return Source(read, len(files), files=tuple(files))
+    return open_stack(
+        lambda: (read_picture(file, turn) for file in files),
+        name=lambda k: f"frames[{k}], {files[k]},",
+        count=len(files),
+        files=tuple(files),
+    )
 
 
 def _read_exif(file: Path) -> tuple[int, str]:
@@ -86,10 +87,10 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
         if not file.is_file():
             raise ValueError("no such file")
         if file.suffix.lower() in TIFF:
-            source = open_tiff(file, {}, alone=True)
-            if source.count != 1:
-                raise ValueError(f"it must hold one page to be one frame, got {source.count}")
-            return next(source.read())[1]
+            page = open_tiff(file, {}, alone=True)
+            if page.count != 1:
+                raise ValueError(f"it must hold one page to be one frame, got {page.count}")
+            return page.first
         # Not imread, which fails on names outside the system's encoding.
         data = file.read_bytes()
         # OpenCV fills up a JPEG that ends in zeros: the end marker must follow the last scan.
@@ -106,18 +107,7 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
-def open_gif(path: Path) -> Source:
-    """Return the frames of a GIF, which OpenCV would read also where they are damaged."""
-
-    def read() -> NamedFrames:
-        with reading(f"frames cannot be read from {path}"), Image.open(path) as film:
-            for k, frame in enumerate(ImageSequence.Iterator(film)):
-                yield f"frame {k} of {path}", np.asarray(frame.convert("RGB"))
-
-    return Source(read, files=(path,))
-
-
-def open_film(path: Path) -> Source:
+def open_film(path: Path) -> Stack:
     """Return the frames of a video, whose number in the header is checked when they are read."""
     film = cv2.VideoCapture(str(path))
     if not film.isOpened():
@@ -126,10 +116,10 @@ def open_film(path: Path) -> Source:
     film.release()
     indexed = stated > 0 and path.suffix.lower() in _INDEXED
 
-    def read() -> NamedFrames:
+    def read() -> Iterator[NDArray]:
         film, count = cv2.VideoCapture(str(path)), 0
         while (answer := film.read())[0]:
-            yield f"frame {count} of {path}", np.ascontiguousarray(answer[1][..., ::-1])
+            yield cv2.cvtColor(answer[1], cv2.COLOR_BGR2RGB)
             count += 1
         numbers = f"{path}: its header has {stated} frames, {count} can be read"
         if count == 0 or (indexed and count < stated):
@@ -137,4 +127,5 @@ def open_film(path: Path) -> Source:
         if count != stated:
             warnings.warn(numbers, stacklevel=2)
 
-    return Source(read, stated if indexed else None, files=(path,))
+    number = stated if indexed else None
+    return open_stack(read, name=lambda k: f"frame {k} of {path}", count=number, files=(path,))

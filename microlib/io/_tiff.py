@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from microlib.io._metadata import tiff_scale
-from microlib.io._source import (
+from microlib.io._stack import (
     Choice,
-    NamedFrames,
-    Source,
+    Stack,
     check_axis_of_frames,
+    open_stack,
     reading,
     select_frames,
 )
@@ -37,7 +37,7 @@ _Opener = Callable[[str], Image.Image]
 _Reader = Callable[[_Opener], NDArray]
 
 
-def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
+def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
     """Select the pages of a TIFF by its metadata, without decoding them.
 
     Parameters
@@ -64,7 +64,7 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
         if axis == "T":  # whose frames have one position
             positions = None
 
-    def read() -> NamedFrames:
+    def read() -> Iterator[NDArray]:
         with ExitStack() as opened:
 
             @functools.cache
@@ -74,9 +74,17 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Source:
             for k, reader in enumerate(readers):
                 with reading(f"page {k} of {path} cannot be read"):
                     image = reader(opener)
-                yield f"page {k} of {path}", image
+                yield image
 
-    return Source(read, len(readers), axis, size, positions, files=(path,))
+    return open_stack(
+        read,
+        name=lambda k: f"page {k} of {path}",
+        count=len(readers),
+        axis=axis,
+        positions=positions,
+        pixel_size=size,
+        files=(path,),
+    )
 
 
 def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader], str]:

@@ -177,12 +177,6 @@ def test_png_with_alpha_is_read_without_it(stack, tmp_path):
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), stack[0])
 
 
-def test_frames_of_a_gif_are_read(stack, tmp_path):
-    reader = read_frames(make.by_pillow(tmp_path / "a.gif", stack))
-    assert (reader.count, reader.files) == (None, (tmp_path / "a.gif",))
-    np.testing.assert_allclose(np.stack(list(reader)).astype(int), stack, atol=1)
-
-
 def test_tilde_is_home_only_before_a_slash(stack, tmp_path, monkeypatch):
     make.tiff(tmp_path / "~scan.tif", stack, **make.GREY)
     cv2.imwrite(str(tmp_path / "~a.png"), stack[0])
@@ -241,7 +235,7 @@ def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):
     frames = np.repeat(stack[..., None], 3, axis=3) if color else stack
     how = {"photometric": "rgb"} if color else {}
     path = make.tiff_of("tifffile", tmp_path, frames, f"{axis}YX{'S' * color}", **how)
-    reader = read_frames(path)
+    reader = read_frames(path, color=True)
     assert (reader.axis, reader.count, reader.color) == (axis, COUNT, color)
 
 

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import as_region
 from microlib.focus._peaks import check_count, check_positions
 from microlib.focus._result import FocusResult, build_result
-from microlib.focus._stack import Stack, bad_frames
+from microlib.focus._stack import bad_frames
 from microlib.focus.multiscale._axis import Axis, tile_pixels
 from microlib.focus.multiscale._depth import multiscale_depth
 from microlib.focus.multiscale._fits import describe_axis, fit_stack
 from microlib.focus.multiscale._full_size import GRID
 from microlib.focus.multiscale._reject import typical
 from microlib.focus.multiscale._settings import Settings
-from microlib.io import read_frames
+from microlib.io import Stack, read_frames
 
 #: Overlap of the blocks (dask's ``depth``) and side of a block, px. Its place must be a multiple of
 #: `GRID`, as every fourth pixel is used, and so many rows are fitted at a time.
@@ -96,6 +96,6 @@ def _block(
     """Return the maps of one block, one above the other."""
     grey, z = list(frames), axis.positions
     found = multiscale_depth(grey, z, axis=axis, typical_strength=strength)
-    result = build_result(found, Stack(grey, grey, z, numbers), frames.dtype)
+    result = build_result(found, Stack(grey, grey[0], positions=z), numbers, frames.dtype)
     maps = (getattr(result, name) for name in _MAPS)
     return np.stack([*maps, result.all_in_focus], dtype=np.float32)
