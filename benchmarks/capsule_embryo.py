@@ -191,7 +191,7 @@ def _draw_probe(picture: NDArray, place: Place, end: float, c: float, probe: str
 def draw_of_model(rng: np.random.Generator) -> SimpleNamespace:
     """Render an embryo that obeys (4.2) and (4.7), of random stiffness, dimple, place and light."""
     depth, modulus, rim = rng.uniform((40.0, 0.5, 350.0), (150.0, 2.0, 600.0))
-    embryo = Embryo.dented(depth, modulus=modulus, rim_radius=rim)
+    embryo = Embryo.dented(depth, modulus=modulus, rim_curvature_radius=rim)
     center, tilt = rng.uniform((360.0, 190.0), (660.0, 310.0)), np.deg2rad(rng.uniform(-1.5, 1.5))
     light = rng.uniform(0.0, 0.2)
     scene = embryo_image(embryo, rng=rng, center=tuple(center), tilt=tilt, unevenness=light)
@@ -212,7 +212,7 @@ def by_library(scene: Any) -> tuple[float, float, Any]:
 def by_thesis(scene: Any) -> tuple[float, float, None]:
     """Return modulus and relative deviation of LOESS, (5.1) and (5.3)."""
     dimple = thesis_dimple(extract_boundary(scene.image))
-    sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    sizes = {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     found = thesis.modulus(*sizes.values(), force=scene.force)
     values = sizes | thesis.MEMBRANE | {"force": scene.force}
     return found, modulus_std(values, {}, dimple_covariance=dimple.covariance) / found, None

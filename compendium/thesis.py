@@ -288,7 +288,7 @@ def outline_curve() -> GaussianSum:
 
 
 def modulus(
-    dimple_radius: float,
+    rim_radius: float,
     dimple_depth: float,
     *,
     force: float = FORCE,
@@ -298,7 +298,7 @@ def modulus(
 
     Parameters
     ----------
-    dimple_radius, dimple_depth : float
+    rim_radius, dimple_depth : float
         a and w_d, µm.
     force : float
         µN; that of Table 5.6 by default.
@@ -321,4 +321,4 @@ def modulus(
         For all dimples of the thesis, which are steeper than the model allows.
     """
     settings = MEMBRANE | {"probe_half_width": probe_half_width}
-    return float(elastic_modulus(force, dimple_radius, dimple_depth, **settings))
+    return float(elastic_modulus(force, rim_radius, dimple_depth, **settings))

@@ -385,11 +385,11 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     measured = dimple_from_outline(x, y, pixel_size=3.875)
     title = figures[0].axes[0].get_title()
     points = {"outline": (x, y - y.min()), "bottom": measured.left.bottom}
-    for rim, prefix in (("left", ""), ("right", "right_rim_")):
+    for rim, prefix in (("left", ""), ("right", "right_")):
         dimple = getattr(measured, rim)
         values = {"force": 10.0, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
         stds = {"force": 3.0, "thickness": 0.2}
-        for k, name in enumerate(("dimple_radius", "dimple_depth")):
+        for k, name in enumerate(("rim_radius", "dimple_depth")):
             values[name] = getattr(dimple, name)
             stds[name] = np.sqrt(dimple.covariance[k, k])
         modulus = membrane.elastic_modulus(**values)
@@ -439,7 +439,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
     assert printed.count("points.csv") == bool(message)
     if code == 0 and "rims" not in message:
         found = pd.read_csv(out, index_col="quantity")["value"]
-        assert found["dimple_radius"] == pytest.approx(250, abs=3.875)
+        assert found["rim_radius"] == pytest.approx(250, abs=3.875)
 
 
 @pytest.mark.parametrize(

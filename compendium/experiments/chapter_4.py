@@ -23,7 +23,7 @@ from microlib.membrane import (
 #: Every input of (5.2), from Table 5.6 and for c from chapter 5.
 INPUTS = {
     "force": thesis.FORCE,
-    "dimple_radius": claim("table-5.6/a").value,
+    "rim_radius": claim("table-5.6/a").value,
     "dimple_depth": claim("table-5.6/w_d").value,
     **thesis.MEMBRANE,
 }
@@ -54,7 +54,7 @@ def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
     """Return the modulus without small slopes over (5.2), by relative depth w_d/a."""
-    a, c = INPUTS["dimple_radius"], INPUTS["probe_half_width"]
+    a, c = INPUTS["rim_radius"], INPUTS["probe_half_width"]
     w_d = a * np.asarray(depths)
     strains = [mean_strain(a, w_d, probe_half_width=c, small_slopes=s) for s in (True, False)]
     # The error of (5.2) beyond small slopes is what is computed here.

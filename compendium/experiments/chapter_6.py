@@ -58,7 +58,7 @@ def log_sensitivities() -> dict[str, float]:
     differences. An error of the result by the step, 10⁻⁴, is of the order 10⁻⁸.
     """
     radius, depth = printed_dimple()
-    values = {"force": thesis.FORCE, "dimple_radius": radius, "dimple_depth": depth}
+    values = {"force": thesis.FORCE, "rim_radius": radius, "dimple_depth": depth}
     values |= thesis.MEMBRANE
     found, step = {}, np.array([1 - 1e-4, 1 + 1e-4])
     for name in [one for one in values if one != "poisson_ratio"]:

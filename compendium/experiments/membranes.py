@@ -70,7 +70,7 @@ _DISC_LOADS = (0.06, 0.9)
 
 def modulus_ratios(disc: str) -> pd.Series:
     """Return a disc's modulus over that of (4.7), by the relative depth w_d/a that a load makes."""
-    a, found = INPUTS["dimple_radius"], {}
+    a, found = INPUTS["rim_radius"], {}
     for load in _LOADS * thesis.MEMBRANE["thickness"] * a:  # µN, for a modulus of 1 MPa
         state = indent_disc(load, modulus=1.0, radius=a, **thesis.MEMBRANE, **DISCS[disc])
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
@@ -81,7 +81,7 @@ def modulus_ratios(disc: str) -> pd.Series:
 def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray]:
     """Return distances from the axis and heights above the rim, µm, of the left half."""
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    r = np.linspace(INPUTS["probe_half_width"], dimple.dimple_radius, 400)
+    r = np.linspace(INPUTS["probe_half_width"], dimple.rim_radius, 400)
     z = curve(dimple.bottom[0] - r / thesis.EMBRYO_PIXEL) - dimple.rim[1]
     return r, thesis.EMBRYO_PIXEL * z
 
@@ -117,7 +117,7 @@ def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
     r, z = left_half(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
     rows = {}
-    for name, (modulus, r_of, z_of) in shapes(dimple.dimple_radius, dimple.dimple_depth).items():
+    for name, (modulus, r_of, z_of) in shapes(dimple.rim_radius, dimple.dimple_depth).items():
         off = (z - np.interp(r, r_of, z_of)) / dimple.dimple_depth
         rows[name] = modulus, np.abs(off).max(), np.sqrt(np.mean(off**2))
     return pd.DataFrame(rows, index=["E", "largest", "rms"]).T

@@ -48,7 +48,7 @@ def read_off(units: ArrayLike = 0.0) -> NDArray:
     amplitudes, centers, widths = (values + half * np.asarray(units)).reshape(3, 8)
     curve = GaussianSum(amplitudes, centers, widths, domain=thesis.OUTLINE_DOMAIN)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    modulus = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth)
+    modulus = thesis.modulus(dimple.rim_radius, dimple.dimple_depth)
     return np.array([*dimple.rim, *dimple.bottom, modulus])
 
 
@@ -160,7 +160,7 @@ def rendered_embryo(rng: np.random.Generator) -> Scene:
     embryo = Embryo(
         modulus=MODULUS,
         force=thesis.FORCE,
-        dimple_radius=claim("table-5.6/a").value,
+        rim_radius=claim("table-5.6/a").value,
         **thesis.MEMBRANE,
     )
     return embryo_image(embryo, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, unevenness=0.15)
@@ -222,9 +222,9 @@ def compare_shape(curve: GaussianSum) -> ShapeComparison:
     """Hold the left half of a dimple against the profile (4.2)."""
     pixel, half_width = thesis.EMBRYO_PIXEL, thesis.MEMBRANE["probe_half_width"]
     dimple = dimple_geometry(curve, pixel_size=pixel)
-    radius = np.linspace(half_width, dimple.dimple_radius, 400)  # µm
+    radius = np.linspace(half_width, dimple.rim_radius, 400)  # µm
     depth = dimple_profile(
-        radius, dimple.dimple_radius, dimple.dimple_depth, probe_half_width=half_width
+        radius, dimple.rim_radius, dimple.dimple_depth, probe_half_width=half_width
     )
     x = dimple.bottom[0] - radius / pixel
     expected = dimple.rim[1] - depth / pixel
@@ -251,10 +251,10 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
         profile with the ends low and high of its 95 % interval, and that of the thesis' way (MPa).
     """
     rows = []
-    for rim_radius in rng.uniform(400.0, 500.0, embryos):  # µm
+    for rim_curvature_radius in rng.uniform(400.0, 500.0, embryos):  # µm
         for load in np.linspace(60.0, thesis.FORCE, forces):
             pressed = Embryo.pressed(
-                load, modulus=MODULUS, rim_radius=rim_radius, **thesis.MEMBRANE
+                load, modulus=MODULUS, rim_curvature_radius=rim_curvature_radius, **thesis.MEMBRANE
             )
             place = (rng.uniform(225, 255), rng.uniform(100, 130))
             image = embryo_image(
@@ -264,7 +264,7 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
                 image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE
             )
             dimple = thesis_dimple(fitted.boundary)
-            by_thesis = thesis.modulus(dimple.dimple_radius, dimple.dimple_depth, force=load)
+            by_thesis = thesis.modulus(dimple.rim_radius, dimple.dimple_depth, force=load)
             ends = fitted.interval
             rows.append([pressed.dimple_depth, load, fitted.modulus, *ends, by_thesis])
     return pd.DataFrame(rows, columns=["depth", "force", "fitted", "low", "high", "thesis"])

@@ -166,7 +166,7 @@ def moduli(seed: int, count: int) -> dict[str, tuple[NDArray, NDArray]]:
         if not 40 < state.depth < 110:
             continue
         depth, rim = rng.uniform([40, 350], [150, 600])
-        flat = synthetic.Embryo.dented(depth, modulus=modulus, rim_radius=rim)
+        flat = synthetic.Embryo.dented(depth, modulus=modulus, rim_curvature_radius=rim)
         scene = synthetic.embryo_image(flat, rng=rng)
         for name, image, load, pixel in (
             ("follows (4.2)", scene.image, flat.force, scene.pixel_size),

@@ -127,11 +127,11 @@ def write_embryo(folder: Path) -> dict[str, Entry]:
 
 
 def write_outline(folder: Path) -> dict[str, Entry]:
-    embryo = Embryo(modulus=1.3, force=10.0, dimple_radius=250.0, **MEMBRANE)
+    embryo = Embryo(modulus=1.3, force=10.0, rim_radius=250.0, **MEMBRANE)
     pixel_size, noise = 3.875, 0.1  # µm, px
     x, y = embryo.outline(spacing=0.5).T / pixel_size
     # The dimple's side of the closed outline, to half a radius beyond the rim.
-    reach = 1.5 * embryo.dimple_radius / pixel_size
+    reach = 1.5 * embryo.rim_radius / pixel_size
     side = (np.abs(x) < reach) & (y > -embryo.radius / pixel_size)
     order = np.argsort(x[side])
     column = np.arange(np.ceil(-reach), np.floor(reach) + 1)
@@ -147,7 +147,7 @@ def write_outline(folder: Path) -> dict[str, Entry]:
 def _dimple_entry(what: str, force: float, pixel_size: float, embryo: Embryo) -> Entry:
     truth = {
         "modulus_MPa": embryo.modulus,
-        "dimple_radius_um": round(embryo.dimple_radius, 3),
+        "rim_radius_um": round(embryo.rim_radius, 3),
         "dimple_depth_um": round(embryo.dimple_depth, 3),
     }
     settings = {"force": force, "pixel_size": round(pixel_size, 6), **MEMBRANE}

@@ -55,7 +55,7 @@ def run(a: argparse.Namespace) -> Files:
         a.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
     summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
     a.say(summary)
-    result = left | {f"right_rim_{name}": value for name, value in right.items()}
+    result = left | {f"right_{name}": value for name, value in right.items()}
     lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
     yield "table", text("\n".join(lines))
     points = {"left rim": measured.left.rim, "bottom": measured.left.bottom}
@@ -71,9 +71,9 @@ def _estimate(
     """Return the modulus of a dimple with its inputs, and a summary."""
     from microlib import membrane
 
-    values = values | {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    values = values | {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     radius_std, depth_std = np.sqrt(np.diag(dimple.covariance)).tolist()
-    stds = stds | {"dimple_radius": radius_std, "dimple_depth": depth_std}
+    stds = stds | {"rim_radius": radius_std, "dimple_depth": depth_std}
     modulus = float(membrane.elastic_modulus(**values))
     samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
@@ -83,6 +83,6 @@ def _estimate(
     found |= {f"{name}_std": std for name, std in stds.items()}
     return found, (
         f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
-        f"a = {dimple.dimple_radius:.1f} ± {radius_std:.1f} µm, "
+        f"a = {dimple.rim_radius:.1f} ± {radius_std:.1f} µm, "
         f"w_d = {dimple.dimple_depth:.1f} ± {depth_std:.1f} µm"
     )

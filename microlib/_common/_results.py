@@ -74,7 +74,7 @@ def flat_row(
     """Return values as `Tidy.to_dict` does."""
     row: dict[str, Any] = {}
     for name, value in values.items():
-        # The field dimple_radius of a dimple is not named dimple_dimple_radius.
+        # The field rim_radius of a dimple is not named dimple_rim_radius.
         known = name if prefix and name.startswith(prefix) else prefix + name
         if isinstance(value, Tidy):
             value = value.to_dict()

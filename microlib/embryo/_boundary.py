@@ -126,7 +126,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     >>> scene = embryo_image(embryo, rng=3, shape=(480, 640))
     >>> outline = extract_boundary(scene.image)
     >>> x, y = outline.points[~outline.under_probe].T
-    >>> rim = scene.to_pixels([[scene.embryo.dimple_radius, 0.0]])[0]
+    >>> rim = scene.to_pixels([[scene.embryo.rim_radius, 0.0]])[0]
     >>> bool(abs(np.interp(rim[0], x, y) - rim[1]) < 0.2)
     True
     """

@@ -37,7 +37,7 @@ class DimpleGeometry(Tidy):
 
     Attributes
     ----------
-    dimple_radius, dimple_depth : float
+    rim_radius, dimple_depth : float
         a and w_d of (5.3), in µm.
     covariance : ndarray, shape (2, 2)
         Covariance of (a, w_d), in µm²; NaN if that of the curve is unknown.
@@ -47,7 +47,7 @@ class DimpleGeometry(Tidy):
 
     _parts = (("covariance", ("radius", "depth"), ("radius", "depth")),)
 
-    dimple_radius: float
+    rim_radius: float
     dimple_depth: float
     covariance: Array
     rim: tuple[float, float]
@@ -98,7 +98,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     >>> from microlib.embryo import GaussianSum, dimple_geometry
     >>> curve = GaussianSum([10.0, 10.0], [0.0, 30.0], [12.0, 12.0], domain=(-5.0, 35.0))
     >>> dimple = dimple_geometry(curve, pixel_size=2.0)
-    >>> print(f"a = {dimple.dimple_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
+    >>> print(f"a = {dimple.rim_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
     a = 29.882 µm, w_d = 11.655 µm
     """
     size = scalar("pixel_size", pixel_size, above=0)
@@ -127,7 +127,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
         )
         covariance = change @ curve.covariance @ change.T
     return DimpleGeometry(
-        dimple_radius=size * float(abs(crest - bottom)),
+        rim_radius=size * float(abs(crest - bottom)),
         dimple_depth=size * float(curve(crest) - curve(bottom)),
         covariance=covariance,
         rim=(float(crest), float(curve(crest))),
@@ -143,7 +143,7 @@ class DimpleFit(Tidy):
 
     Attributes
     ----------
-    dimple_radius, dimple_depth : float
+    rim_radius, dimple_depth : float
         a and w_d, in µm.
     covariance : ndarray, shape (2, 2)
         Covariance of (a, w_d), in µm².
@@ -162,7 +162,7 @@ class DimpleFit(Tidy):
 
     _parts = (("covariance", ("radius", "depth"), ("radius", "depth")),)
 
-    dimple_radius: float
+    rim_radius: float
     dimple_depth: float
     covariance: Array
     center: tuple[float, float]
@@ -178,12 +178,12 @@ class DimpleFit(Tidy):
         The height is NaN beyond ten radii from the axis.
         """
         along = as_array("x", x) - self.center[0]
-        near = np.abs(along) < 10 * self.dimple_radius / self.pixel_size
+        near = np.abs(along) < 10 * self.rim_radius / self.pixel_size
         along = np.where(near, along, 0.0)
         dimple = _Dimple(
             *self.center,
             self.tilt,
-            self.dimple_radius / self.pixel_size,
+            self.rim_radius / self.pixel_size,
             self.dimple_depth / self.pixel_size,
             *(curvature * self.pixel_size for curvature in self.rim_curvatures),
         )
@@ -286,7 +286,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     covariance = covariance[np.ix_(sizes, sizes)] * size**2
     covariance[1, 1] += (beyond * size) ** 2
     return DimpleFit(
-        dimple_radius=found.radius * size,
+        rim_radius=found.radius * size,
         dimple_depth=found.depth * size,
         covariance=covariance,
         center=(found.x, found.y),

@@ -109,7 +109,7 @@ class ImageEstimate(Tidy):
         """
         lengths = {name: self.given[name] for name in ("thickness", "probe_half_width")}
         nu = self.given["poisson_ratio"]
-        dimple = (self.dimple.dimple_radius, self.dimple.dimple_depth)
+        dimple = (self.dimple.rim_radius, self.dimple.dimple_depth)
         radius = _egg_radius(self.boundary, self.dimple.pixel_size)
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
             point_load = elastic_modulus(self.force, *dimple, **lengths, poisson_ratio=nu)
@@ -186,7 +186,7 @@ def modulus_from_image(
     --------
     >>> from microlib.embryo import modulus_from_image
     >>> from microlib.synthetic import Embryo, embryo_image
-    >>> embryo = Embryo(modulus=1.2, force=1.2, dimple_radius=240.0)
+    >>> embryo = Embryo(modulus=1.2, force=1.2, rim_radius=240.0)
     >>> scene = embryo_image(embryo, rng=1, shape=(480, 640))
     >>> estimate = modulus_from_image(
     ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
@@ -209,7 +209,7 @@ def modulus_from_image(
             "image must show a dimple of the model for this pixel_size and probe_half_width: "
             f"{error}"
         ) from None
-    sizes = {"dimple_radius": dimple.dimple_radius, "dimple_depth": dimple.dimple_depth}
+    sizes = {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     inputs = {"force": load, **sizes, **given}
     modulus = float(elastic_modulus(**inputs))
     std = modulus_std(inputs, {}, dimple_covariance=dimple.covariance) / modulus

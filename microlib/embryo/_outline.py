@@ -203,7 +203,7 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     >>> x = np.arange(121.0)
     >>> y = 40 * np.exp(-(((x - 30) / 20) ** 2)) + 40 * np.exp(-(((x - 90) / 20) ** 2))
     >>> dimple = dimple_from_outline(x, y, pixel_size=2.0).left
-    >>> print(f"a = {dimple.dimple_radius:.0f} µm, w_d = {dimple.dimple_depth:.0f} µm")
+    >>> print(f"a = {dimple.rim_radius:.0f} µm, w_d = {dimple.dimple_depth:.0f} µm")
     a = 60 µm, w_d = 63 µm
     """
     size = scalar("pixel_size", pixel_size, above=0)
@@ -225,7 +225,7 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     sides = {}
     for rim in ("left", "right"):
         each = [dimple_geometry(curve, pixel_size=size, rim=rim) for curve in curves]
-        sizes = np.array([(g.dimple_radius, g.dimple_depth) for g in each])
+        sizes = np.array([(g.rim_radius, g.dimple_depth) for g in each])
         second = curves[1].second_derivative([each[1].rim[0], each[1].bottom[0]])
         noise = size**2 * scatter * np.array([7 / half_span**2 * np.sum(second**-2.0), 6])
         variances = sizes.var(axis=0, ddof=1) + noise

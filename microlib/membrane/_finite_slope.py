@@ -17,12 +17,12 @@ from microlib._common import poisson, scalar
 from microlib.membrane._point_load import GAUSS
 
 
-def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
+def steepest_depth(rim_radius: float, *, probe_half_width: float) -> float:
     r"""Largest depth of a dimple under a uniform stress, with a vertical membrane at the probe.
 
     Parameters
     ----------
-    dimple_radius, probe_half_width : float
+    rim_radius, probe_half_width : float
         a and c, in µm.
 
     Returns
@@ -33,7 +33,7 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
     Raises
     ------
     ValueError
-        If a length is not positive or `probe_half_width` is not below `dimple_radius`.
+        If a length is not positive or `probe_half_width` is not below `rim_radius`.
 
     Notes
     -----
@@ -47,13 +47,13 @@ def steepest_depth(dimple_radius: float, *, probe_half_width: float) -> float:
     >>> print(f"{steepest_depth(250.0, probe_half_width=25.0):.1f} µm")
     62.1 µm
     """
-    a, c = _geometry(dimple_radius, probe_half_width)
+    a, c = _geometry(rim_radius, probe_half_width)
     return _depth(1.0, a, c)
 
 
 def finite_slope_modulus(
     force: float,
-    dimple_radius: float,
+    rim_radius: float,
     dimple_depth: float,
     *,
     thickness: float,
@@ -64,7 +64,7 @@ def finite_slope_modulus(
 
     Parameters
     ----------
-    force, dimple_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : float
+    force, rim_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : float
         As for `microlib.membrane.elastic_modulus`: µN, µm, and no unit for the last.
 
     Returns
@@ -93,7 +93,7 @@ def finite_slope_modulus(
     >>> print(f"{modulus:.2f} MPa")
     11.09 MPa
     """
-    a, c = _geometry(dimple_radius, probe_half_width)
+    a, c = _geometry(rim_radius, probe_half_width)
     load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
     h = scalar("thickness", thickness, above=0)
     nu = poisson(poisson_ratio)
@@ -112,8 +112,8 @@ def finite_slope_modulus(
     return float(stress * (1 - nu) / strain)
 
 
-def _geometry(dimple_radius: float, probe_half_width: float) -> tuple[float, float]:
-    a = scalar("dimple_radius", dimple_radius, above=0)
+def _geometry(rim_radius: float, probe_half_width: float) -> tuple[float, float]:
+    a = scalar("rim_radius", rim_radius, above=0)
     return a, scalar("probe_half_width", probe_half_width, above=0, below=a)
 
 

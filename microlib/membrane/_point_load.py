@@ -44,7 +44,7 @@ class SmallSlopeWarning(UserWarning):
 
 def elastic_modulus(
     force: ArrayLike,
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     thickness: ArrayLike,
@@ -61,14 +61,14 @@ def elastic_modulus(
     ----------
     force : array_like
         Indentation force F, in µN.
-    dimple_radius : array_like
+    rim_radius : array_like
         Distance a from the dimple's axis to its rim, in µm.
     dimple_depth : array_like
         Depth w_d of the dimple below its rim, in µm.
     thickness : array_like
         Membrane thickness h, in µm.
     probe_half_width : array_like
-        Half-width c of the probe, in µm; smaller than `dimple_radius`.
+        Half-width c of the probe, in µm; smaller than `rim_radius`.
     poisson_ratio : array_like
         Poisson ratio ν, in (−1, 0.5].
 
@@ -80,7 +80,7 @@ def elastic_modulus(
     Raises
     ------
     ValueError
-        If a length or the force is not positive, `probe_half_width` is not below `dimple_radius`,
+        If a length or the force is not positive, `probe_half_width` is not below `rim_radius`,
         `poisson_ratio` is outside (−1, 0.5], a value is not finite, or the shapes do not broadcast.
 
     Warns
@@ -117,9 +117,9 @@ def elastic_modulus(
     1.551 MPa
     """
     values = check_inputs(
-        dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, force=force
+        rim_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, force=force
     )
-    _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
+    _warn_if_steep(values["rim_radius"], values["dimple_depth"])
     modulus = values["force"] / force_per_modulus(values)
     warn_if_implausible(modulus)
     return modulus
@@ -127,7 +127,7 @@ def elastic_modulus(
 
 def indentation_force(
     modulus: ArrayLike,
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     thickness: ArrayLike,
@@ -142,7 +142,7 @@ def indentation_force(
     ----------
     modulus : array_like
         Elastic modulus E, in MPa.
-    dimple_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : array_like
+    rim_radius, dimple_depth, thickness, probe_half_width, poisson_ratio : array_like
         As for `elastic_modulus`.
 
     Returns
@@ -170,15 +170,15 @@ def indentation_force(
     0.838 µN
     """
     values = check_inputs(
-        dimple_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, modulus=modulus
+        rim_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, modulus=modulus
     )
-    _warn_if_steep(values["dimple_radius"], values["dimple_depth"])
+    _warn_if_steep(values["rim_radius"], values["dimple_depth"])
     return values["modulus"] * force_per_modulus(values)
 
 
 def dimple_depth(
     force: ArrayLike,
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     modulus: ArrayLike,
     *,
     thickness: ArrayLike,
@@ -193,7 +193,7 @@ def dimple_depth(
     ----------
     force : array_like
         Indentation force F, in µN.
-    dimple_radius : array_like
+    rim_radius : array_like
         Dimple radius a, in µm.
     modulus : array_like
         Elastic modulus E, in MPa.
@@ -225,18 +225,18 @@ def dimple_depth(
     20.00 µm
     """
     values = check_inputs(
-        dimple_radius, 1.0, probe_half_width, thickness, poisson_ratio, force=force, modulus=modulus
+        rim_radius, 1.0, probe_half_width, thickness, poisson_ratio, force=force, modulus=modulus
     )
     # The force grows with the cube of the depth, so the force at 1 µm gives the depth.
     at_one_micrometer = values["modulus"] * force_per_modulus(values)
     depth = np.cbrt(values["force"] / at_one_micrometer)
-    _warn_if_steep(values["dimple_radius"], depth)
+    _warn_if_steep(values["rim_radius"], depth)
     return depth
 
 
 def dimple_profile(
     radius: ArrayLike,
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
@@ -248,8 +248,8 @@ def dimple_profile(
     Parameters
     ----------
     radius : array_like
-        Distance r from the axis, in µm, between `probe_half_width` and `dimple_radius`.
-    dimple_radius, dimple_depth, probe_half_width : array_like
+        Distance r from the axis, in µm, between `probe_half_width` and `rim_radius`.
+    rim_radius, dimple_depth, probe_half_width : array_like
         Geometry a, w_d and c, in µm.
 
     Returns
@@ -260,7 +260,7 @@ def dimple_profile(
     Raises
     ------
     ValueError
-        If a length is not positive, `probe_half_width` is not below `dimple_radius`, or a `radius`
+        If a length is not positive, `probe_half_width` is not below `rim_radius`, or a `radius`
         is outside [c, a].
 
     Notes
@@ -274,19 +274,19 @@ def dimple_profile(
     >>> dimple_profile([25.0, 100.0, 250.0], 250.0, 40.0, probe_half_width=25.0).round(3).tolist()
     [40.0, 10.982, 0.0]
     """
-    values = check_inputs(dimple_radius, dimple_depth, probe_half_width, radius=radius)
-    r, a, c = values["radius"], values["dimple_radius"], values["probe_half_width"]
+    values = check_inputs(rim_radius, dimple_depth, probe_half_width, radius=radius)
+    r, a, c = values["radius"], values["rim_radius"], values["probe_half_width"]
     if (outside := (r < c) | (r > a)).any():
         worst = np.broadcast_to(r, outside.shape)[outside].flat[0]
         raise ValueError(
-            f"radius must lie between probe_half_width and dimple_radius, got {worst:g} µm"
+            f"radius must lie between probe_half_width and rim_radius, got {worst:g} µm"
         )
     return values["dimple_depth"] * log_remainder(r / a, 2) / log_remainder(c / a, 2)
 
 
 def membrane_stress(
     force: ArrayLike,
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     thickness: ArrayLike,
@@ -302,7 +302,7 @@ def membrane_stress(
     ----------
     force : array_like
         Indentation force F, in µN.
-    dimple_radius, dimple_depth, thickness, probe_half_width : array_like
+    rim_radius, dimple_depth, thickness, probe_half_width : array_like
         As for `elastic_modulus`.
 
     Returns
@@ -322,14 +322,14 @@ def membrane_stress(
     >>> print(f"{stress:.4f} MPa")
     0.1199 MPa
     """
-    values = check_inputs(dimple_radius, dimple_depth, probe_half_width, thickness, force=force)
-    zeta = values["probe_half_width"] / values["dimple_radius"]
+    values = check_inputs(rim_radius, dimple_depth, probe_half_width, thickness, force=force)
+    zeta = values["probe_half_width"] / values["rim_radius"]
     scale = values["force"] / (4 * np.pi * values["thickness"] * values["dimple_depth"])
     return -scale * log_remainder(zeta, 2)
 
 
 def mean_strain(
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     *,
     probe_half_width: ArrayLike,
@@ -344,7 +344,7 @@ def mean_strain(
 
     Parameters
     ----------
-    dimple_radius, dimple_depth, probe_half_width : array_like
+    rim_radius, dimple_depth, probe_half_width : array_like
         Geometry a, w_d and c, in µm.
     small_slopes : bool
         Whether to use the small-slope strain :math:`\frac12(dw/dr)^2` of (4.4). If False, the
@@ -358,7 +358,7 @@ def mean_strain(
     Raises
     ------
     ValueError
-        If a length is not positive or `probe_half_width` is not below `dimple_radius`.
+        If a length is not positive or `probe_half_width` is not below `rim_radius`.
 
     Notes
     -----
@@ -374,14 +374,14 @@ def mean_strain(
     >>> from microlib.membrane import mean_strain
     >>> print(f"{mean_strain(250.0, 40.0, probe_half_width=25.0):.6f}")
     0.006183
-    >>> geometry = {"dimple_radius": 250.0, "dimple_depth": [2.5, 120.0], "probe_half_width": 25.0}
+    >>> geometry = {"rim_radius": 250.0, "dimple_depth": [2.5, 120.0], "probe_half_width": 25.0}
     >>> ratio = mean_strain(**geometry) / mean_strain(**geometry, small_slopes=False)
     >>> ratio.round(4).tolist()
     [1.0002, 1.2695]
     """
-    values = check_inputs(dimple_radius, dimple_depth, probe_half_width)
-    zeta = values["probe_half_width"] / values["dimple_radius"]
-    steepness = values["dimple_depth"] / values["dimple_radius"]
+    values = check_inputs(rim_radius, dimple_depth, probe_half_width)
+    zeta = values["probe_half_width"] / values["rim_radius"]
+    steepness = values["dimple_depth"] / values["rim_radius"]
     if small_slopes:
         shape = log_remainder(zeta, 3) / (annulus(zeta) * log_remainder(zeta, 2) ** 2)
         return -(steepness**2) * shape
@@ -416,7 +416,7 @@ def log_remainder(zeta: Array, first: int) -> Array:
 
 def force_per_modulus(values: Mapping[str, Array]) -> Array:
     """Return F/E of (4.7), in µm²."""
-    a, c = values["dimple_radius"], values["probe_half_width"]
+    a, c = values["rim_radius"], values["probe_half_width"]
     numerator = 2 * np.pi * values["thickness"] * values["dimple_depth"] ** 3
     # S(ζ) of (4.7). With x = 1 − ζ² and R_n the Taylor remainder of ln(1 − x) from xⁿ on, its
     # numerator is 2 R₃ and the base of its cube R₂.
@@ -425,7 +425,7 @@ def force_per_modulus(values: Mapping[str, Array]) -> Array:
 
 
 def check_inputs(
-    dimple_radius: ArrayLike,
+    rim_radius: ArrayLike,
     dimple_depth: ArrayLike,
     probe_half_width: ArrayLike,
     thickness: ArrayLike = 1.0,
@@ -436,18 +436,18 @@ def check_inputs(
 
     Raises `ValueError` where the probe is not narrower than the dimple.
     """
-    others |= {"dimple_radius": dimple_radius, "dimple_depth": dimple_depth}
+    others |= {"rim_radius": rim_radius, "dimple_depth": dimple_depth}
     others |= {"probe_half_width": probe_half_width, "thickness": thickness}
     values = {name: positive(name, value) for name, value in others.items()}
     values["poisson_ratio"] = ratio = as_array("poisson_ratio", poisson_ratio)
     poisson(ratio.min())
     poisson(ratio.max())
     np.broadcast_shapes(*(array.shape for array in values.values()))  # raises a ValueError itself
-    c, a = np.broadcast_arrays(values["probe_half_width"], values["dimple_radius"])
+    c, a = np.broadcast_arrays(values["probe_half_width"], values["rim_radius"])
     if (c >= a).any():
         worst = np.argmax(c / a)
         raise ValueError(
-            "probe_half_width must be below dimple_radius (0 < c/a < 1), "
+            "probe_half_width must be below rim_radius (0 < c/a < 1), "
             f"got {c.flat[worst]:g} and {a.flat[worst]:g} µm"
         )
     return values
@@ -467,8 +467,8 @@ def warn_if_implausible(modulus: ArrayLike) -> None:
         )
 
 
-def _warn_if_steep(dimple_radius: Array, depth: Array) -> None:
-    steepest = float(np.max(depth / dimple_radius))
+def _warn_if_steep(rim_radius: Array, depth: Array) -> None:
+    steepest = float(np.max(depth / rim_radius))
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
             f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "

@@ -71,7 +71,7 @@ def modulus_std(
     Examples
     --------
     >>> from microlib.membrane import modulus_std
-    >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
+    >>> values = dict(force=1.0, rim_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
     >>> print(f"{modulus_std(values, dict(dimple_depth=0.2)):.3f} MPa")  # 1 % of w_d, 3 % of E
     0.047 MPa
@@ -80,12 +80,12 @@ def modulus_std(
     0.031 MPa
     """
     inputs, covariance = _check_errors(values, stds, dimple_covariance)
-    zeta = inputs["probe_half_width"] / inputs["dimple_radius"]
+    zeta = inputs["probe_half_width"] / inputs["rim_radius"]
     x = annulus(zeta)
     by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
     exponents: dict[str, Any] = {
         "force": 1.0,
-        "dimple_radius": 2 + by_zeta,
+        "rim_radius": 2 + by_zeta,
         "dimple_depth": -3,
         "thickness": -1,
         "probe_half_width": -by_zeta,
@@ -138,7 +138,7 @@ def modulus_samples(
     Examples
     --------
     >>> from microlib.membrane import modulus_samples
-    >>> values = dict(force=1.0, dimple_radius=250.0, dimple_depth=20.0, thickness=3.0,
+    >>> values = dict(force=1.0, rim_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
     >>> samples = modulus_samples(values, dict(dimple_depth=0.2), size=20_000, rng=1)
     >>> print(f"{samples.std():.2f} MPa")
@@ -157,7 +157,7 @@ def modulus_samples(
         )
         ratio = rng.normal(means[-1], sigmas[-1], missing)
         drawn = dict(zip(_INPUTS, [*(means[:-1] * scatter).T, ratio], strict=True))
-        possible = (drawn["probe_half_width"] < drawn["dimple_radius"]) & (ratio > -1)
+        possible = (drawn["probe_half_width"] < drawn["rim_radius"]) & (ratio > -1)
         possible &= ratio <= 0.5
         drawn = {name: each[possible] for name, each in drawn.items()}
         found.append(drawn["force"] / force_per_modulus(drawn))

@@ -77,7 +77,7 @@ class Embryo(Result):
         Elastic modulus E of the chorion, in MPa.
     force : float
         Force F of the probe, in µN; 0 is an untouched, round embryo.
-    dimple_radius : float
+    rim_radius : float
         Dimple radius a, in µm; without meaning when the force is 0.
     thickness : float
         Thickness h of the chorion, in µm.
@@ -104,45 +104,48 @@ class Embryo(Result):
     Examples
     --------
     >>> from microlib.synthetic import Embryo
-    >>> embryo = Embryo(modulus=1.3237, force=197.24, dimple_radius=246.95)
+    >>> embryo = Embryo(modulus=1.3237, force=197.24, rim_radius=246.95)
     >>> print(f"{embryo.dimple_depth:.2f} µm")  # Table 5.6 prints 121.22
     121.22 µm
     """
 
     modulus: float
     force: float
-    dimple_radius: float
+    rim_radius: float
     thickness: float = 3.0
     probe_half_width: float = 25.0
     poisson_ratio: float = 0.5
     radius: float = 600.0
 
     def __post_init__(self) -> None:
-        for name in ("modulus", "dimple_radius", "thickness", "probe_half_width", "radius"):
+        for name in ("modulus", "rim_radius", "thickness", "probe_half_width", "radius"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
         object.__setattr__(self, "force", scalar("force", self.force, least=0))
         object.__setattr__(self, "poisson_ratio", poisson(self.poisson_ratio))
         if self.force > 0:
-            scalar(
-                "dimple_radius", self.dimple_radius, above=self.probe_half_width, below=self.radius
-            )
+            scalar("rim_radius", self.rim_radius, above=self.probe_half_width, below=self.radius)
             if self._half_axes()[2] <= self.dimple_depth:
                 raise ValueError(
-                    f"dimple_radius must suit an embryo of {self.radius:g} µm radius, got "
-                    f"{self.dimple_radius:g} µm with a dimple {self.dimple_depth:.0f} µm deep"
+                    f"rim_radius must suit an embryo of {self.radius:g} µm radius, got "
+                    f"{self.rim_radius:g} µm with a dimple {self.dimple_depth:.0f} µm deep"
                 )
 
     @classmethod
     def pressed(
-        cls, force: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
+        cls,
+        force: float,
+        *,
+        modulus: float,
+        rim_curvature_radius: float = 450.0,
+        **properties: float,
     ) -> Embryo:
-        """Return the embryo whose rim has the radius of curvature `rim_radius`.
+        """Return the embryo whose rim has the radius of curvature `rim_curvature_radius`.
 
         Parameters
         ----------
         force, modulus : float
             As in `Embryo`; the force is positive.
-        rim_radius : float
+        rim_curvature_radius : float
             Radius of curvature of the outline at the rim, in µm.
         **properties : float
             The other attributes of `Embryo`.
@@ -165,14 +168,19 @@ class Embryo(Result):
         --------
         >>> from microlib.synthetic import Embryo
         >>> embryo = Embryo.pressed(197.24, modulus=1.3237)
-        >>> print(f"radius {embryo.dimple_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
+        >>> print(f"radius {embryo.rim_radius:.0f} µm, depth {embryo.dimple_depth:.0f} µm")
         radius 246 µm, depth 121 µm
         """
-        return cls._dimpled("force", force, modulus, rim_radius, **properties)
+        return cls._dimpled("force", force, modulus, rim_curvature_radius, **properties)
 
     @classmethod
     def dented(
-        cls, depth: float, *, modulus: float, rim_radius: float = 450.0, **properties: float
+        cls,
+        depth: float,
+        *,
+        modulus: float,
+        rim_curvature_radius: float = 450.0,
+        **properties: float,
     ) -> Embryo:
         """Return the embryo with a dimple of a given depth; radius and force follow.
 
@@ -180,7 +188,7 @@ class Embryo(Result):
         ----------
         depth : float
             Dimple depth w_d, in µm, positive.
-        modulus, rim_radius, **properties : float
+        modulus, rim_curvature_radius, **properties : float
             As in `Embryo.pressed`.
 
         Returns
@@ -196,30 +204,38 @@ class Embryo(Result):
         --------
         >>> from microlib.synthetic import Embryo
         >>> embryo = Embryo.dented(121.22, modulus=1.3237)
-        >>> print(f"radius {embryo.dimple_radius:.0f} µm, force {embryo.force:.0f} µN")
+        >>> print(f"radius {embryo.rim_radius:.0f} µm, force {embryo.force:.0f} µN")
         radius 247 µm, force 198 µN
         """
-        return cls._dimpled("depth", depth, modulus, rim_radius, **properties)
+        return cls._dimpled("depth", depth, modulus, rim_curvature_radius, **properties)
 
     @classmethod
     def _dimpled(
-        cls, name: str, value: float, modulus: float, rim_radius: float, **properties: float
+        cls,
+        name: str,
+        value: float,
+        modulus: float,
+        rim_curvature_radius: float,
+        **properties: float,
     ) -> Embryo:
         """Return the embryo with a given force or depth, whose radius follows from the rim."""
         value = scalar(name, value, above=0)
-        rim_radius = scalar("rim_radius", rim_radius, above=0)
+        rim_curvature_radius = scalar("rim_curvature_radius", rim_curvature_radius, above=0)
         untouched = cls(modulus, 0.0, 1.0, **properties)
 
         def excess(radius: float) -> float:
             depth = _depth(untouched, value, radius) if name == "force" else value
-            return _rim_radius(radius, depth, untouched.probe_half_width) - rim_radius
+            return (
+                _rim_curvature_radius(radius, depth, untouched.probe_half_width)
+                - rim_curvature_radius
+            )
 
         # No dimple reaches the probe or the equator.
         narrowest, widest = 1.01 * untouched.probe_half_width, 0.95 * untouched.radius
         if not (narrowest < widest and excess(narrowest) < 0 < excess(widest)):
             raise ValueError(
                 f"{name} must suit a dimple between the probe and the equator when the rim's "
-                f"radius is {rim_radius:g} µm, got {value:g}"
+                f"radius is {rim_curvature_radius:g} µm, got {value:g}"
             )
         radius = brentq(excess, narrowest, widest)
         # The depth grows with the cube root of the force.
@@ -227,13 +243,13 @@ class Embryo(Result):
         try:
             return cls(modulus, force, radius, **properties)
         except ValueError as error:
-            need = "rim_radius must be that of a dimple which an embryo can have"
-            raise ValueError(f"{need}, got {rim_radius:g} µm: {error}") from None
+            need = "rim_curvature_radius must be that of a dimple which an embryo can have"
+            raise ValueError(f"{need}, got {rim_curvature_radius:g} µm: {error}") from None
 
     @property
     def dimple_depth(self) -> float:
         """Depth w_d of the membrane under the probe below the rim, in µm."""
-        return _depth(self, self.force, self.dimple_radius) if self.force > 0 else 0.0
+        return _depth(self, self.force, self.rim_radius) if self.force > 0 else 0.0
 
     @property
     def height(self) -> float:
@@ -276,7 +292,7 @@ class Embryo(Result):
         if self.force == 0:
             half = self.radius * np.stack([np.sin(2 * quarter), np.cos(2 * quarter) - 1], axis=1)
         else:
-            a, c = self.dimple_radius, self.probe_half_width
+            a, c = self.rim_radius, self.probe_half_width
             across, upper, lower = self._half_axes()
             r = np.geomspace(c, a, 2 * count - 1)
             r[0], r[-1] = c, a
@@ -297,9 +313,9 @@ class Embryo(Result):
 
     def _half_axes(self) -> tuple[float, float, float]:
         """Return width and height of the outline from rim to equator, and the height below, µm."""
-        a, c, depth = self.dimple_radius, self.probe_half_width, self.dimple_depth
+        a, c, depth = self.rim_radius, self.probe_half_width, self.dimple_depth
         across = self.radius - a
-        upper = across**2 / _rim_radius(a, depth, c)
+        upper = across**2 / _rim_curvature_radius(a, depth, c)
         # Volumes over π. The dimple's integral of w r dr, with (4.2), is elementary.
         zeta2 = (c / a) ** 2
         scale = depth / (zeta2 - 1 - np.log(zeta2))
@@ -327,7 +343,7 @@ def _depth(embryo: Embryo, force: float, radius: float) -> float:
         )
 
 
-def _rim_radius(radius: float, depth: float, probe_half_width: float) -> float:
+def _rim_curvature_radius(radius: float, depth: float, probe_half_width: float) -> float:
     """Return the radius of curvature of (4.2) at r = a."""
     zeta2 = (probe_half_width / radius) ** 2
     return radius**2 * (zeta2 - 1 - np.log(zeta2)) / (4 * depth)

@@ -19,7 +19,7 @@ from tests.book.browsing import hindrances, open_page
 COUNT = 200
 # What was asked of the tools; both sides compute in doubles and differ by some roundings only.
 SAME = {"rtol": 1e-9, "atol": 0.0}
-DIMPLE = ("dimple_radius", "dimple_depth", "probe_half_width")
+DIMPLE = ("rim_radius", "dimple_depth", "probe_half_width")
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def draw_membranes() -> list[dict[str, float]]:
     radius = rng.uniform(20, 600, COUNT)
     inputs = {
         "force": rng.uniform(1, 500, COUNT),
-        "dimple_radius": radius,
+        "rim_radius": radius,
         "dimple_depth": radius * 10 ** rng.uniform(-2, 0, COUNT),
         "thickness": rng.uniform(0.5, 10, COUNT),
         # From a needle to a probe that nearly fills the dimple, where the series takes over.
@@ -64,7 +64,7 @@ def test_browser_moduli_equal_library(tools: Page) -> None:
     drawn = draw_membranes()
     shares = dict(zip(drawn[0], (0.02, 0.03, 0.05, 0.1, 0.07, 0.04), strict=True))
     stds = [{name: share * abs(one[name]) for name, share in shares.items()} for one in drawn]
-    radii = [(3 * v["probe_half_width"] + v["dimple_radius"]) / 4 for v in drawn]
+    radii = [(3 * v["probe_half_width"] + v["rim_radius"]) / 4 for v in drawn]
     found = tools.evaluate(
         """([inputs, stds, radii]) => inputs.map((p, k) => [tryIt.membrane.elasticModulus(p),
             tryIt.membrane.modulusStd(p, stds[k]), tryIt.membrane.dimpleProfile(radii[k], p)])""",

@@ -42,7 +42,7 @@ def test_modulus_exponents_equal_formula():
     known = {"force": 1, "dimple depth": -3, "thickness": -1, "poisson ratio": -1}
     assert found[list(known)].to_dict() == pytest.approx(known, abs=1e-5)
     # E grows as a² times a function of c/a alone.
-    assert found["dimple radius"] + found["probe half width"] == pytest.approx(2, abs=1e-4)
+    assert found["rim radius"] + found["probe half width"] == pytest.approx(2, abs=1e-4)
 
 
 def test_values_of_sentences_follow_from_printed_numbers():

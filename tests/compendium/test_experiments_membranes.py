@@ -89,7 +89,7 @@ def test_fit_shoulder_recovers_drawn_profile():
 def test_modulus_ratios_agree_with_inverse_solver():
     """One is solved for the depth, the other for the modulus."""
     curve, depth = membranes.modulus_ratios("Hooke, no pressure"), 0.4
-    sizes = (membranes.INPUTS["dimple_radius"], depth * membranes.INPUTS["dimple_radius"])
+    sizes = (membranes.INPUTS["rim_radius"], depth * membranes.INPUTS["rim_radius"])
     before = membranes.DISCS["Hooke, no pressure"]
     whole = disc_modulus(thesis.FORCE, *sizes, **thesis.MEMBRANE, **before)
     # Straight lines between 12 points miss a curve that bends this little by less than 1 %.

@@ -11,7 +11,7 @@ from compendium.guides import FOLDER, compare, find_input, manifest, out_folder,
 EMBRYO = find_input("embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
 TRUTH = manifest()["embryo.png"]["truth"]
-ALLOWED = {"modulus_MPa": 0.05, "dimple_radius_um": 1.0, "dimple_depth_um": 1.0}
+ALLOWED = {"modulus_MPa": 0.05, "rim_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])

@@ -136,7 +136,7 @@ def test_outline_and_std_match_rendered_outline(scene, boundary):
     assert boundary.std[~boundary.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
     assert (np.diff(boundary.x) >= 0).all()
     # The outline reaches from near the probe to well beyond both rims.
-    radius = scene.embryo.dimple_radius / scene.pixel_size
+    radius = scene.embryo.rim_radius / scene.pixel_size
     for side in (-1, 1):
         distance = side * (seen[:, 0] - scene.center[0])
         assert distance[distance > 0].min() < 15
@@ -187,8 +187,10 @@ def test_outline_and_dimple_of_mirrored_image_are_mirrored(scene, boundary):
     assert np.median(off) < 0.05
     sizes = {"pixel_size": scene.pixel_size, "probe_half_width": 25.0}
     one, two = (fit_dimple(each, **sizes) for each in (boundary, other))
-    for name, std in zip(("radius", "depth"), np.sqrt(np.diag(one.covariance)), strict=True):
-        found, wanted = (getattr(each, f"dimple_{name}") for each in (two, one))
+    for name, std in zip(
+        ("rim_radius", "dimple_depth"), np.sqrt(np.diag(one.covariance)), strict=True
+    ):
+        found, wanted = (getattr(each, name) for each in (two, one))
         assert found == pytest.approx(wanted, abs=std)
 
 

@@ -67,18 +67,18 @@ def fit(boundary):
 )
 @example(depth=47.5, rim=431.0, tilt=0.0)  # a fifth of its points lie on the flank
 def test_fit_dimple_recovers_dimple_of_exact_outline(depth, rim, tilt):
-    embryo = Embryo.dented(depth, modulus=1.0, rim_radius=rim)
+    embryo = Embryo.dented(depth, modulus=1.0, rim_curvature_radius=rim)
     boundary = outline(embryo, tilt=tilt)
     dimple = fit(boundary)
     # The drawn flank is an ellipse and the fitted one a circle, which changes the sizes by up to
     # 0.3 %.
     assert dimple.dimple_depth == pytest.approx(embryo.dimple_depth, rel=3e-3)
-    assert dimple.dimple_radius == pytest.approx(embryo.dimple_radius, rel=3e-3)
+    assert dimple.rim_radius == pytest.approx(embryo.rim_radius, rel=3e-3)
     assert dimple.tilt == pytest.approx(tilt, abs=1e-3)
     assert dimple.center == pytest.approx(CENTER, abs=0.05)
     assert dimple.rim_curvatures == pytest.approx((1 / rim, 1 / rim), rel=0.1)
     # A call of the fit returns the height of the fitted outline.
-    near = np.abs(boundary.x - CENTER[0]) < 1.2 * embryo.dimple_radius / PIXEL
+    near = np.abs(boundary.x - CENTER[0]) < 1.2 * embryo.rim_radius / PIXEL
     np.testing.assert_allclose(dimple(boundary.x[near]), boundary.y[near], atol=0.1)
 
 
@@ -87,7 +87,7 @@ def test_covariance_matches_scatter_of_noisy_fits(shared):
     """For independent errors, and for correlated ones, which determine the sizes less well."""
     embryo = Embryo.dented(80.0, modulus=1.0)
     fits = [fit(outline(embryo, 0.06, shared=shared, seed=seed)) for seed in range(60)]
-    found = np.array([[each.dimple_radius, each.dimple_depth] for each in fits])
+    found = np.array([[each.rim_radius, each.dimple_depth] for each in fits])
     covariances = np.array([each.covariance for each in fits])
     # The flank, which is no circle, biases the fits, so the scatter is taken about their mean. This
     # leaves 59 of 60 degrees of freedom.

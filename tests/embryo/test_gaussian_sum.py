@@ -21,7 +21,7 @@ def test_rim_is_nearest_maximum_in_upper_half() -> None:
         found = dimple_geometry(curve, pixel_size=2.0)
         assert found.rim[0] == pytest.approx(rim, abs=1)
         other = dimple_geometry(mirrored, pixel_size=2.0, rim="right")
-        assert other.dimple_radius == pytest.approx(found.dimple_radius, rel=1e-9)
+        assert other.rim_radius == pytest.approx(found.rim_radius, rel=1e-9)
         assert other.rim[0] == pytest.approx(-found.rim[0])
 
 

@@ -41,7 +41,7 @@ def test_dimple_of_synthetic_outline_matches_truth() -> None:
     found = dimple_from_outline(X, Y, pixel_size=PIXEL)
     for dimple in (found.left, found.right):
         radius_std, depth_std = np.sqrt(np.diag(dimple.covariance))
-        assert abs(dimple.dimple_radius - truth["dimple_radius_um"]) < 2 * radius_std
+        assert abs(dimple.rim_radius - truth["rim_radius_um"]) < 2 * radius_std
         assert abs(dimple.dimple_depth - truth["dimple_depth_um"]) < 2 * depth_std
         # The smooth curve rounds the corners by half a pixel of depth; the position of a flat rim
         # varies more.
@@ -57,7 +57,7 @@ def test_dimple_does_not_depend_on_order_origin_and_unit() -> None:
     x, y = 0.6 * (X[shuffled] + 700.0), 0.6 * (Y[shuffled] - 300.0)
     moved = dimple_from_outline(x, y, pixel_size=PIXEL / 0.6 * 1.7).left
     # The search for eight Gaussians ends at a relative change of 1e-8 of its sum of squares.
-    assert moved.dimple_radius == pytest.approx(1.7 * plain.dimple_radius, rel=2e-3)
+    assert moved.rim_radius == pytest.approx(1.7 * plain.rim_radius, rel=2e-3)
     assert moved.dimple_depth == pytest.approx(1.7 * plain.dimple_depth, rel=1e-3)
     assert moved.rim[0] == pytest.approx(0.6 * (plain.rim[0] + 700.0), rel=1e-3)
     stds = (np.sqrt(np.diag(each.covariance)) for each in (moved, plain))
@@ -70,7 +70,7 @@ def test_covariance_matches_errors(noise: float) -> None:
     for seed in range(8):
         found = dimple_from_outline(ACROSS, traced(seed, noise), pixel_size=1.0)
         for dimple in (found.left, found.right):
-            errors.append([dimple.dimple_radius - RADIUS, dimple.dimple_depth - DEPTH])
+            errors.append([dimple.rim_radius - RADIUS, dimple.dimple_depth - DEPTH])
             covariances.append(dimple.covariance)
     pulls = np.array(errors) / np.sqrt(np.array([np.diag(each) for each in covariances]))
     # Smoothing rounds the rim, a bias of all outlines that the variance between spans covers. The

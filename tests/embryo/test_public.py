@@ -38,11 +38,11 @@ SUM = {
     "domain": px.counted_from("x0"),
 }
 GEOMETRY = {
-    "dimple_radius": um, "dimple_depth": um, "covariance": um**2,
+    "rim_radius": um, "dimple_depth": um, "covariance": um**2,
     "rim": px.counted_from("x0", None), "bottom": px.counted_from("x0", None),
 }  # fmt: skip
 FIT = {
-    "dimple_radius": um, "dimple_depth": um, "covariance": um**2, "rim_curvatures": 1 / um,
+    "rim_radius": um, "dimple_depth": um, "covariance": um**2, "rim_curvatures": 1 / um,
     "pixel_size": um, "probe_half_width": um, "center": NUMBER, "tilt": NUMBER, "misfit": NUMBER,
 }  # fmt: skip
 #: µm. Only the pixel size, these lengths and the force give the results their units.
@@ -170,9 +170,7 @@ def test_dimple_covariance_matches_scatter_of_curves(rim):
     for _ in range(200):
         moved = HILLS + (root @ rng.normal(size=9)).reshape(3, 3)
         one = dimple_geometry(GaussianSum(*moved, domain=tuple(DOMAIN)), pixel_size=2.0, rim=rim)
-        errors.append(
-            [one.dimple_radius - truth.dimple_radius, one.dimple_depth - truth.dimple_depth]
-        )
+        errors.append([one.rim_radius - truth.rim_radius, one.dimple_depth - truth.dimple_depth])
     hold_sigma(errors, np.broadcast_to(truth.covariance, (200, 2, 2)))
 
 

@@ -31,7 +31,7 @@ def film(u) -> dict:
 
 
 def dimple(u) -> dict:
-    return {"dimple_radius": A * u.um, "dimple_depth": 19.0 * u.um}
+    return {"rim_radius": A * u.um, "dimple_depth": 19.0 * u.um}
 
 
 def wall(u) -> dict:
@@ -64,14 +64,14 @@ LAWS = {
         MPa),
     "membrane.indentation_force": Row(lambda u: {"modulus": 0.7 * u.MPa, **dimple(u), **film(u)},
         uN),
-    "membrane.dimple_depth": Row(lambda u: {"force": 43.0 * u.uN, "dimple_radius": A * u.um,
+    "membrane.dimple_depth": Row(lambda u: {"force": 43.0 * u.uN, "rim_radius": A * u.um,
         "modulus": 0.7 * u.MPa, **film(u)}, um),
     "membrane.dimple_profile": Row(lambda u: {"radius": np.array([20.0, 90.0, 200.0]) * u.um,
         **geometry(u)}, um),
     "membrane.membrane_stress": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **wall(u)},
         MPa),
     "membrane.mean_strain": Row(lambda u: {**geometry(u), "small_slopes": False}, NUMBER),
-    "membrane.steepest_depth": Row(lambda u: {"dimple_radius": A * u.um,
+    "membrane.steepest_depth": Row(lambda u: {"rim_radius": A * u.um,
         "probe_half_width": C * u.um}, um),
     "membrane.modulus_std": Row(errors, MPa),
     "membrane.modulus_samples": Row(lambda u: {"values": errors(u)["values"],

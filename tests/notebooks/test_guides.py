@@ -223,7 +223,7 @@ def test_printed_command_of_guide_runs(tmp_path, monkeypatch, capsys, guide, wor
 def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(tmp_path, monkeypatch, capsys):
     """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
     monkeypatch.chdir(tmp_path)
-    numbers = {"dimple_radius": 246.95, "dimple_depth": 121.22, "force": 197.24}
+    numbers = {"rim_radius": 246.95, "dimple_depth": 121.22, "force": 197.24}
     run_here("modulus", **numbers, thickness=3.0, probe_half_width=25.0)
     found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
     assert found["modulus_MPa"] == pytest.approx(1.3237, abs=2e-4)
@@ -232,7 +232,7 @@ def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(tmp_path, monkey
 
 def test_modulus_without_standard_deviations_has_no_interval(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    numbers = {"dimple_radius": 250.0, "dimple_depth": 45.7, "force": 10.0}
+    numbers = {"rim_radius": 250.0, "dimple_depth": 45.7, "force": 10.0}
     run_here("modulus", **numbers, thickness=3.0, probe_half_width=25.0)
     found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
     unknown = {

@@ -41,12 +41,12 @@ def membrane(u) -> dict:
 
 
 def embryo(u, **changes) -> synthetic.Embryo:
-    given = {"force": 160.0 * u.uN, "dimple_radius": 230.0 * u.um, **membrane(u)}
+    given = {"force": 160.0 * u.uN, "rim_radius": 230.0 * u.um, **membrane(u)}
     return synthetic.Embryo(**given | changes)
 
 
 def pressed(u) -> dict:
-    return {"rim_radius": 420.0 * u.um, **membrane(u)}
+    return {"rim_curvature_radius": 420.0 * u.um, **membrane(u)}
 
 
 def scope(u, **changes) -> Microscope:
@@ -74,7 +74,7 @@ EMBRYO = {
     "modulus": MPa,
     "force": uN,
     "poisson_ratio": NUMBER,
-    **dict.fromkeys(("dimple_radius", "thickness", "probe_half_width", "radius"), um),
+    **dict.fromkeys(("rim_radius", "thickness", "probe_half_width", "radius"), um),
     **dict.fromkeys(("dimple_depth", "height"), um),
 }
 #: Grey levels in single precision, or with the scene's distances in pixels of 1e-12 behind them.

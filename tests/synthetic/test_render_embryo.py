@@ -13,8 +13,8 @@ CLEAN = {"noise": 0.0, "unevenness": 0.0}
 @pytest.mark.parametrize(("modulus", "c"), [(0.5, 35.0), (2.0, 15.0)])
 def test_dimple_balances_force_and_stretch(force, modulus, c):
     """From the drawn points alone: strain (4.5) → stress (4.6) → depth (4.3)."""
-    embryo = Embryo.pressed(force, modulus=modulus, rim_radius=430.0, probe_half_width=c)
-    a, h, nu = embryo.dimple_radius, embryo.thickness, embryo.poisson_ratio
+    embryo = Embryo.pressed(force, modulus=modulus, rim_curvature_radius=430.0, probe_half_width=c)
+    a, h, nu = embryo.rim_radius, embryo.thickness, embryo.poisson_ratio
     x, y = embryo.outline(0.1).T
     dimple = (x > c) & (x < a) & (y > -1.01 * embryo.dimple_depth)
     order = np.argsort(x[dimple])
@@ -30,14 +30,14 @@ def test_dimple_balances_force_and_stretch(force, modulus, c):
     ("force", "rim", "c"), [(25.0, 580.0, 25.0), (150.0, 420.0, 140.0), (290.0, 360.0, 25.0)]
 )
 def test_volume_is_kept_and_rim_has_its_radius(force, rim, c):
-    embryo = Embryo.pressed(force, modulus=1.0, rim_radius=rim, probe_half_width=c)
+    embryo = Embryo.pressed(force, modulus=1.0, rim_curvature_radius=rim, probe_half_width=c)
     points = embryo.outline(0.5)
     x, y = points[points[:, 0] >= 0].T
     # Of revolution, by Green: V = π ∮ x² dy, clockwise. The flat bottom has no dy.
     volume = -np.pi * np.sum((x[1:] ** 2 + x[:-1] ** 2) / 2 * np.diff(y))
     assert volume == pytest.approx(4 / 3 * np.pi * embryo.radius**3, rel=1e-3)
-    near = (np.abs(x - embryo.dimple_radius) < 15) & (y > -5)
-    bend = np.polyfit(x[near] - embryo.dimple_radius, y[near], 3)[1]
+    near = (np.abs(x - embryo.rim_radius) < 15) & (y > -5)
+    bend = np.polyfit(x[near] - embryo.rim_radius, y[near], 3)[1]
     # A cubic over ±15 µm leaves quartic terms of (15/a)², below 2 %.
     assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
 
@@ -54,10 +54,10 @@ def test_outline_is_smooth_except_at_the_probe():
 
 
 def test_dented_inverts_pressed():
-    pressed = Embryo.pressed(120.0, modulus=0.8, rim_radius=500.0)
-    dented = Embryo.dented(pressed.dimple_depth, modulus=0.8, rim_radius=500.0)
+    pressed = Embryo.pressed(120.0, modulus=0.8, rim_curvature_radius=500.0)
+    dented = Embryo.dented(pressed.dimple_depth, modulus=0.8, rim_curvature_radius=500.0)
     assert dented.force == pytest.approx(120.0, rel=1e-9)
-    assert dented.dimple_radius == pytest.approx(pressed.dimple_radius, rel=1e-9)
+    assert dented.rim_radius == pytest.approx(pressed.rim_radius, rel=1e-9)
 
 
 def test_edges_in_the_image_are_at_the_true_outline():
@@ -65,7 +65,7 @@ def test_edges_in_the_image_are_at_the_true_outline():
     scene = embryo_image(
         embryo, rng=0, noise=0.0, unevenness=0.0, shape=(260, 600), center=(500.3, 240.7)
     )
-    rim_x, rim_y = scene.to_pixels([[embryo.dimple_radius, 0.0]])[0]
+    rim_x, rim_y = scene.to_pixels([[embryo.rim_radius, 0.0]])[0]
     column = scene.image[:, round(rim_x)].astype(float)
     near = np.arange(round(rim_y) - 3, round(rim_y) + 4)
     ground, fluid = column[near[0] - 5], column[near[-1] + 5]
