@@ -21,7 +21,7 @@ $(shell rm -rf $(VENV))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras lab book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz hostile lock clean
+.PHONY: help setup extras lab book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz hostile unused lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -105,6 +105,9 @@ fuzz: $(STAMP) ## call each public function with two unusual arguments at once (
 
 hostile: $(STAMP) ## run notebooks in a fresh clone under faults of other machines, such as a full disk (minutes)
 	@$(BIN)/python .ci/hostile.py $(HOSTILE)
+
+unused: $(STAMP) ## list the lines of microlib that no notebook and no command runs (minutes)
+	@$(BIN)/python .ci/unused.py
 
 # Nothing is read from S3, whose client that agrees with the other versions is ten years old and
 # hinders imports.

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import microlib
+from microlib._common import Result
 from tests.laws import public, resolve, tables
 
 PACKAGE = Path(microlib.__file__).parent
@@ -33,8 +34,9 @@ ARROWS = {
     "synthetic": {"microscope", "optics", "membrane"},
     "tracking": {"_plots"},
 }
-#: A face that fits on one page of the book. Whoever needs another name takes one away.
-MOST_PUBLIC_NAMES = 112
+#: Functions and classes that people call; the classes of results come with them. Whoever needs
+#: another name takes one away.
+MOST_PUBLIC_NAMES = 96
 
 
 def sources(folder: Path) -> list[Path]:
@@ -123,6 +125,11 @@ def test_imports_have_no_cycle():
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 
 
+def is_result(name: str) -> bool:
+    value = resolve(name)
+    return inspect.isclass(value) and issubclass(value, Result)
+
+
 def test_public_names_are_few_and_listed_once():
     listed: dict[str, str] = {}
     for room in ROOMS:
@@ -130,7 +137,8 @@ def test_public_names_are_few_and_listed_once():
             assert not name.startswith("_"), f"{room}.{name}"
             assert name not in listed, f"{name} stands in {listed[name]} and in {room}"
             listed[name] = room
-    assert len(listed) <= MOST_PUBLIC_NAMES, len(listed)
+    called = [name for name in listed if not is_result(f"{listed[name]}.{name}")]
+    assert len(called) <= MOST_PUBLIC_NAMES, len(called)
     text = (ROOT / "book" / "api.md").read_text(encoding="utf-8")
     shown: dict[str, str] = {}
     for part in text.split(".. currentmodule:: microlib.")[1:]:
