@@ -113,7 +113,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "servoing.MicroManager": lambda: {"core": Mock()},
     "servoing.SimulatedWorkstation": lambda: {
         "render": lambda feature: target(), "jacobian": np.eye(2) * 0.3,
-        "stage": servoing.Stage(500.0), "camera": servoing.Camera(0.04), "rng": 0,
+        "stage": servoing.StageModel(500.0), "camera": servoing.CameraTiming(0.04), "rng": 0,
         "home": [10.0, 10.0], "drift": [0.1, 0.2],
     },
     "synthetic._embryo.EmbryoImage.to_pixels": lambda: {"self": egg(), "points": np.eye(5, 2)},

@@ -27,7 +27,7 @@ QUICK = [name for name in NAMES if name not in fuzz.SLOW]
 #: Numbers of either sign. All others are refused below zero, and at zero unless they may be zero.
 SIGNED = {"x", "distortion", "alpha", "beta", "gamma", "tilt", "tx", "ty", "u", "mean"}
 MAY_BE_ZERO = SIGNED | {
-    "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "jitter",
+    "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "increment", "jitter",
     "k", "k_zero", "latency", "noise", "poisson_ratio", "pressure", "pretension", "rim_inset",
     "rng", "roughness", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
 }  # fmt: skip
@@ -52,7 +52,7 @@ ANY_SHAPE = (
     "embryo.GaussianSum.*.x", "embryo._dimple.*",
     "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
     "microscope.distort.points", "microscope.undistort.points", "*.pixel_size", "*.pixel_pitch",
-    "servoing.Stage.rounded.position", "servoing.point_jacobian.depth",
+    "servoing.StageModel.rounded.position", "servoing.point_jacobian.depth",
     "synthetic.mixed_texture.scales", "curvature.hk_labels.?_zero", "optics.defocus.sigma",
 )  # fmt: skip
 #: Where NaN is an unknown pixel, a lost feature or an uncertainty that is not known.
@@ -137,7 +137,7 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "servoing.optimal_control.control_weight": NOT_DEFINITE,
     "servoing.optimal_control.feature_weight": NOT_DEFINITE,
     "servoing.servo.jacobian": SINGULAR,
-    "servoing.servo.test_move": (500.0, 80.0),  # beyond the travel, and beyond the step
+    "servoing.servo.test_move": (500.0, 80.0),  # beyond the travel, and beyond the longest move
     "servoing.simulate.reference": (np.full((3, 2), 9e4),),
     "servoing.path_metrics.position": (np.zeros((1, 2)),),
     "servoing.step_metrics.target": (fuzz.valid_call("servoing.step_metrics")["position"][0],),

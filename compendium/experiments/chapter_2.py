@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from compendium import thesis
 from microlib.calibration import calibrate, linear_intrinsics, radial_alignment
 from microlib.microscope import Microscope
-from microlib.servoing import Camera, Stage, ibvs_control, point_jacobian, simulate
+from microlib.servoing import CameraTiming, StageModel, ibvs_control, point_jacobian, simulate
 
 #: What one image of a plane gives when f is known: name and factor for the table, by parameter.
 PARAMETERS = {
@@ -131,8 +131,8 @@ def simulated_loops(interval: float, seed: int) -> pd.DataFrame:
             lambda k, measured, reference: -gain / interval * measured,
             np.zeros((300, 2)),
             jacobian=np.eye(2),
-            stage=Stage(saturation=1e12, step=0.0, travel=1e12),
-            camera=Camera(interval=interval, latency=delay * interval),
+            stage=StageModel(saturation=1e12, increment=0.0, travel=1e12),
+            camera=CameraTiming(interval=interval, latency=delay * interval),
             rng=np.random.default_rng(seed),
             start=(1.0, 1.0),
         )

@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from compendium.experiments.microscope import turned
 from microlib.embryo import extract_boundary
 from microlib.membrane import fit_capsule, indent_capsule
-from microlib.servoing import Camera, SimulatedWorkstation, Stage, servo
+from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
 
 #: Pixel in the object plane; rows and columns of a frame; its noise in grey levels of 255.
 PIXEL_SIZE, SHAPE, NOISE = 4.65 / 1.2, (260, 360), 2.0
@@ -209,8 +209,8 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
         egg.frame,
         jacobian=jacobian,
         home=egg.home,
-        stage=Stage(saturation=400.0),
-        camera=Camera(interval=0.03, latency=0.02),
+        stage=StageModel(saturation=400.0),
+        camera=CameraTiming(interval=0.03, latency=0.02),
         rng=rng,
     )
     first, _ = workstation.camera.snap()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.servoing import Camera, MicroManager, SimulatedWorkstation, Stage, servo
+from microlib.servoing import CameraTiming, MicroManager, SimulatedWorkstation, StageModel, servo
 from microlib.synthetic import gripper_scene
 from microlib.tracking import ESMTracker
 
@@ -137,8 +137,8 @@ def make_scope(seed: int | None, **options: Any) -> Scope:
     scale = float(np.exp(rng.uniform(*np.log([0.08, 0.6]))))
     settings: dict[str, Any] = {
         "jacobian": turned(rng.uniform(0, 2 * np.pi), scale, bool(rng.random() < 0.5)),
-        "stage": Stage(saturation=4000.0),
-        "camera": Camera(interval=0.005, latency=0.002),
+        "stage": StageModel(saturation=4000.0),
+        "camera": CameraTiming(interval=0.005, latency=0.002),
         "home": scene.home,
         "rng": rng,
     }
@@ -185,7 +185,7 @@ def reach(seed: int | None) -> dict[str, Any]:
     -------
     dict
         ``reached``, the true ``error`` in px, the ``frames``, the moves to the target (``steps``),
-        and the ``misfit`` of the calibration.
+        and the ``reduced_chi2`` of the calibration.
     """
     scope = make_scope(seed)
     away = np.random.default_rng([seed or 0, 19]).uniform(-50, 50, 2)
@@ -202,5 +202,5 @@ def reach(seed: int | None) -> dict[str, Any]:
         "error": float(np.linalg.norm(scope.moved() - before - away)),
         "frames": len(run.log) - 1,
         "steps": int((run.log["phase"] == "servo").sum()) - 1,
-        "misfit": run.misfit,
+        "reduced_chi2": run.reduced_chi2,
     }

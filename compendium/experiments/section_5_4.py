@@ -188,8 +188,8 @@ class Workstation:
         """Return the stage and the camera, with a latency (s) that may be another."""
         late = self.assumed.latency if latency is None else latency
         return {
-            "stage": servoing.Stage(self.saturation[zoom], step=thesis.STAGE_STEP),
-            "camera": servoing.Camera(thesis.FRAME_INTERVAL, late, self.shake(zoom)),
+            "stage": servoing.StageModel(self.saturation[zoom], increment=thesis.STAGE_STEP),
+            "camera": servoing.CameraTiming(thesis.FRAME_INTERVAL, late, self.shake(zoom)),
         }
 
     def runs(

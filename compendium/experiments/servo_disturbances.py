@@ -157,7 +157,7 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
     -------
     strength : str
         The fitted disturbance in words.
-    misfit : float
+    deviation : float
         Root mean square of the twelve logarithms of fitted over printed numbers.
     numbers : pandas.DataFrame
         The twelve numbers: in words, printed and fitted, µm.
@@ -165,7 +165,7 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
     text, values = DISTURBANCES[label]
     tried = np.array([(*value, j) for value in values for j in _JITTERS])
     rows = np.repeat(tried, _RUNS, axis=0)
-    found, misfits = {}, np.zeros(len(tried))
+    found, squared_sums = {}, np.zeros(len(tried))
     for name in PATHS:
         each = []
         printed = np.array([[printed_path(z, name, w) for w in PATH_RESULTS] for z in thesis.ZOOMS])
@@ -179,9 +179,9 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
             each.append(np.median(runs, axis=2).transpose(1, 0, 2))  # tried, zoom, number
         squares = np.sum(np.log(np.array(each) / printed) ** 2, axis=(2, 3))
         best = squares.argmin(axis=0)  # a speed for each strength
-        misfits += squares.min(axis=0)
+        squared_sums += squares.min(axis=0)
         found[name] = (printed, np.array(each)[best, np.arange(len(tried))])
-    at = int(misfits.argmin())
+    at = int(squared_sums.argmin())
     table = [
         (f"{what} on the {name} at {zoom} (µm)", printed[i, j], numbers[at, i, j])
         for name, (printed, numbers) in found.items()
@@ -191,7 +191,7 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
     rate, size, jitter = tried[at]
     strength = f"{text.format(rate, size)}, {jitter * station.jitter:.2f} px of jitter".lstrip(", ")
     numbers = pd.DataFrame(table, columns=["number", "printed", "fitted"])
-    return strength, float(np.sqrt(misfits[at] / len(table))), numbers
+    return strength, float(np.sqrt(squared_sums[at] / len(table))), numbers
 
 
 def compare(station: Workstation) -> tuple[pd.DataFrame, dict[str, pd.DataFrame]]:
@@ -200,11 +200,11 @@ def compare(station: Workstation) -> tuple[pd.DataFrame, dict[str, pd.DataFrame]
     Returns
     -------
     table : pandas.DataFrame
-        A row each, the best first: disturbance, fitted strength, misfit.
+        A row each, the best first: disturbance, fitted strength, deviation.
     numbers : dict of str to pandas.DataFrame
         The fitted numbers of each, as `fit` returns them.
     """
     fits = {label: fit(station, label) for label in DISTURBANCES}
-    rows = [(label, strength, misfit) for label, (strength, misfit, _) in fits.items()]
-    table = pd.DataFrame(rows, columns=["disturbance", "fitted", "misfit"])
-    return table.sort_values("misfit"), {label: numbers for label, (*_, numbers) in fits.items()}
+    rows = [(label, strength, deviation) for label, (strength, deviation, _) in fits.items()]
+    table = pd.DataFrame(rows, columns=["disturbance", "fitted", "deviation"])
+    return table.sort_values("deviation"), {label: numbers for label, (*_, numbers) in fits.items()}

@@ -7,18 +7,22 @@ from microlib.servoing._control import (
     optimal_control,
     point_jacobian,
 )
-from microlib.servoing._metrics import path_metrics, step_metrics
+from microlib.servoing._metrics import PathMetrics, StepMetrics, path_metrics, step_metrics
 from microlib.servoing._micromanager import MicroManager
-from microlib.servoing._servo import servo
+from microlib.servoing._servo import ServoRun, servo
 from microlib.servoing._simulated import SimulatedWorkstation
-from microlib.servoing._workstation import Camera, Stage, simulate
+from microlib.servoing._workstation import CameraTiming, Simulation, StageModel, simulate
 
 __all__ = [
-    "Camera",
+    "CameraTiming",
     "MicroManager",
     "OptimalController",
+    "PathMetrics",
+    "ServoRun",
     "SimulatedWorkstation",
-    "Stage",
+    "Simulation",
+    "StageModel",
+    "StepMetrics",
     "ibvs_control",
     "loop_poles",
     "optimal_control",

@@ -15,9 +15,9 @@ microscope needs three small classes with these methods, and no base class:
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from threading import current_thread, main_thread
+from types import FrameType
 from typing import Any
 
 #: Time between two polls of a moving stage, s: moves of some milliseconds are common.
@@ -69,14 +69,29 @@ def stop_stage(workstation: Any, timeout: float) -> str:
     return trouble
 
 
-@contextmanager
-def ignored_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C, which only the main thread receives."""
-    if current_thread() is not main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+class InterruptGate:
+    """Passes Ctrl-C on to the handler that was there before while `is_open`, and ignores it else.
+
+    A run may be interrupted, and the stop of the stage that follows may not. The gate exists during
+    both, so that there is no moment in between at which Ctrl-C leaves the stage moving.
+    """
+
+    def __init__(self) -> None:
+        self.is_open = False
+
+    def __enter__(self) -> InterruptGate:
+        handler = signal.getsignal(signal.SIGINT)
+        # Python calls handlers in the main thread only. One that is not a Python function could
+        # not be restored.
+        self._handler = handler if callable(handler) else None
+        if self._handler is not None and current_thread() is main_thread():
+            signal.signal(signal.SIGINT, self._receive)
+        return self
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.is_open and self._handler is not None:
+            self._handler(number, frame)
+
+    def __exit__(self, *error: object) -> None:
+        if self._handler is not None and current_thread() is main_thread():
+            signal.signal(signal.SIGINT, self._handler)

@@ -36,14 +36,14 @@ _MOST_LOST = 3
 
 
 @dataclass(frozen=True)
-class Settings:
+class LoopOptions:
     """The arguments of `servo`, checked."""
 
     targets: Array
     travel: Array
     test_move: float
     tolerance: float
-    step: float | None
+    longest_move: float | None
     timeout: float
     progress: Callable[[dict[str, Any]], object] | None
 
@@ -117,7 +117,7 @@ class MotionCheck:
 class Loop:
     """One run; its results are in `rows`, `motion` and `reached`."""
 
-    def __init__(self, workstation: Any, tracker: Any, settings: Settings) -> None:
+    def __init__(self, workstation: Any, tracker: Any, settings: LoopOptions) -> None:
         self.workstation = workstation
         self.rows: list[dict[str, Any]] = []
         self.motion = NOT_CALIBRATED
@@ -241,8 +241,8 @@ class Loop:
         settings = self._settings
         way = np.linalg.solve(self.motion.jacobian, goal - seen.measured)
         length = float(np.linalg.norm(way))
-        if settings.step is not None and length > settings.step:
-            way = way * (settings.step / length)
+        if settings.longest_move is not None and length > settings.longest_move:
+            way = way * (settings.longest_move / length)
             add_event(seen.row, "limit")
         room = USED * settings.travel
         target = np.clip(seen.position + way, self._start - room, self._start + room)

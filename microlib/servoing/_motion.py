@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, inverse_normal
 
 #: Smallest standard deviation of a measured feature, px, so that frames without noise can be
 #: weighted: the interpolation of a tracker is wrong by thousandths of a pixel.
@@ -26,10 +26,11 @@ class StageMotion:
     jacobian : ndarray, shape (2, 2)
         px/µm.
     covariance : ndarray, shape (4, 4)
-        Of the Jacobian's elements row by row, px²/µm²; enlarged by `misfit` if that is above 1.
+        Covariance of the Jacobian's elements row by row, px²/µm². It is multiplied by
+        `reduced_chi2` if that is above 1.
     drift : ndarray, shape (2,)
         px/s while the stage stands.
-    misfit : float
+    reduced_chi2 : float
         χ² per degree of freedom under the covariances of the tracks: 1 if they explain the
         residuals.
     """
@@ -37,7 +38,7 @@ class StageMotion:
     jacobian: Array
     covariance: Array
     drift: Array
-    misfit: float
+    reduced_chi2: float
 
     @property
     def relative_error(self) -> float:
@@ -81,30 +82,24 @@ def fit_motion(time: Array, position: Array, feature: Array, covariance: Array) 
     Returns
     -------
     StageMotion
-        With the covariance of the Jacobian.
+        The fitted motion, with the covariance of the Jacobian.
     """
     count = len(time)
-    moved, later = position - position.mean(axis=0), time - time.mean()
-    size = np.array([np.abs(moved).max() or 1.0] * 2 + [np.abs(later).max() or 1.0])
-    columns = np.column_stack([moved, later]) / size
-    basis = np.column_stack([np.ones(count), columns])  # 1, x, y, t in units of their range
+    basis = np.column_stack([np.ones(count), position - position.mean(axis=0), time - time.mean()])
     design = np.einsum("ij,nk->nijk", np.eye(2), basis).reshape(count, 2, -1)
     floor = _LEAST_STD**2 * np.eye(2)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance + floor))
     matrix = (whitening @ design).reshape(2 * count, -1)
     values = np.einsum("nij,nj->ni", whitening, feature).ravel()
-    found, _, rank, _ = np.linalg.lstsq(matrix, values, rcond=None)
-    if rank < matrix.shape[1]:  # the stage never moved along an axis
-        unknown = np.full(2, np.nan)
-        return StageMotion(np.zeros((2, 2)), np.diag(np.full(4, np.inf)), unknown, float("nan"))
-    misfit = float(np.sum((values - matrix @ found) ** 2)) / (len(values) - rank)
-    spread = np.linalg.inv(matrix.T @ matrix) * max(1.0, misfit)
-    slopes = found.reshape(2, 4)[:, 1:] / size
-    elements = np.add.outer([0, 4], [1, 2]).ravel()  # those of J
-    scale = np.tile(size[:2], 2)
+    parameters = np.linalg.lstsq(matrix, values, rcond=None)[0]
+    chi2 = float(np.sum((values - matrix @ parameters) ** 2))
+    reduced_chi2 = chi2 / (len(values) - len(parameters))
+    slopes = parameters.reshape(2, 4)[:, 1:]
+    elements = np.add.outer([0, 4], [1, 2]).ravel()  # the parameters that are elements of J
     return StageMotion(
         jacobian=slopes[:, :2],
-        covariance=spread[np.ix_(elements, elements)] / np.outer(scale, scale),
+        # The variance of J is infinite if the stage never moved along an axis.
+        covariance=inverse_normal(matrix)[np.ix_(elements, elements)] * max(1.0, reduced_chi2),
         drift=slopes[:, 2],
-        misfit=misfit,
+        reduced_chi2=reduced_chi2,
     )

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Tidy, as_array, positive, scalar
 from microlib.servoing._control import full_rank
-from microlib.servoing._devices import EndRun, check_devices, ignored_interrupts, stop_stage
-from microlib.servoing._loop import USED, Loop, Settings, add_event, new_row, put
+from microlib.servoing._devices import EndRun, InterruptGate, check_devices, stop_stage
+from microlib.servoing._loop import USED, Loop, LoopOptions, add_event, new_row, put
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,7 @@ class ServoRun(Tidy):
     drift : ndarray, shape (2,)
         px/s by which the feature moved while the stage stood during calibration; NaN if there was
         none.
-    misfit : float
+    reduced_chi2 : float
         χ² per degree of freedom of the calibration. Above 1 the tracks scatter more than their
         covariances state, and `jacobian_covariance` is enlarged by it; NaN if there was none.
     error : Exception or None
@@ -61,7 +61,7 @@ class ServoRun(Tidy):
     jacobian: Array
     jacobian_covariance: Array
     drift: Array
-    misfit: float
+    reduced_chi2: float
     error: BaseException | None
 
     _large = ("reached", "log", "jacobian_covariance")
@@ -84,17 +84,19 @@ def servo(
     jacobian: ArrayLike | None = None,
     test_move: float | None = None,
     tolerance: float = 0.05,
-    step: float | None = None,
+    longest_move: float | None = None,
     timeout: float = 10.0,
     progress: Callable[[dict[str, Any]], object] | None = None,
 ) -> ServoRun:
     """Bring a tracked feature to targets by moving the stage under the camera.
 
     Without a Jacobian, the stage first makes small test moves in ±x and ±y, and J and a drift are
-    fitted to the measured features. Then the loop takes a frame, measures, and moves to where the
-    target is by J, until every target is reached. Each frame is taken while the stage stands, so
-    that delays do not matter. At the end (all targets reached, a limit, a lost feature, a device
-    that raises an error, or Ctrl-C) the stage is stopped and asked whether it stands still.
+    fitted to the measured features. Then the loop takes a frame, measures the feature f, and moves
+    the stage by J⁻¹ (target − f), until every target is reached. This is the only control law of
+    `servo`; other controllers are compared with `simulate`. Each frame is taken while the stage
+    stands, so that delays do not matter. At the end (all targets reached, a limit, a lost feature,
+    a device that raises an error, or Ctrl-C), the stage is stopped and is asked whether it stands
+    still.
 
     Parameters
     ----------
@@ -116,8 +118,8 @@ def servo(
         image are good: the standard deviation of J is that of the tracker divided by the move.
     tolerance : float, optional
         A target is reached within this distance, px.
-    step : float, optional
-        Longest move between two frames, µm; the travel alone limits it by default.
+    longest_move : float, optional
+        Length of the longest move between two frames, µm; the travel alone limits it by default.
     timeout : float, optional
         Longest time that a move may take, s.
     progress : callable, optional
@@ -126,10 +128,9 @@ def servo(
     Returns
     -------
     ServoRun
-        ``log`` (a data frame, one row a frame), ``reached`` (N booleans), ``reason`` (why it ended
-        early, or empty), ``still``, ``jacobian`` (2×2, px/µm), ``jacobian_covariance`` (4×4),
-        ``drift`` (2, px/s), ``misfit`` and ``error``. A fault of a device or a lost feature raises
-        nothing: look at ``reached`` before you go on.
+        The log, which targets were reached, why the run ended early if it did, and the calibrated
+        Jacobian. A fault of a device or a lost feature raises nothing: look at ``reached`` before
+        you go on.
 
     Raises
     ------
@@ -160,15 +161,15 @@ def servo(
     Examples
     --------
     >>> import numpy as np
-    >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage, servo
+    >>> from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
     >>> from microlib.synthetic import gripper_scene
     >>> from microlib.tracking import ESMTracker
     >>> rng = np.random.default_rng(0)
     >>> scene = gripper_scene(rng, pixel_size=6.23)
     >>> workstation = SimulatedWorkstation(
     ...     lambda feature: scene.frame(feature - scene.home, rng), home=scene.home,
-    ...     jacobian=[[0.0, 0.16], [0.16, 0.0]], stage=Stage(saturation=400.0),
-    ...     camera=Camera(interval=0.03, latency=0.02), rng=rng)
+    ...     jacobian=[[0.0, 0.16], [0.16, 0.0]], stage=StageModel(saturation=400.0),
+    ...     camera=CameraTiming(interval=0.03, latency=0.02), rng=rng)
     >>> frame, _ = workstation.camera.snap()
     >>> tracker = ESMTracker(frame, scene.box(50), "translation")
     >>> run = servo(workstation, tracker, scene.home + (30, -20), travel=500.0)
@@ -182,32 +183,37 @@ def servo(
     limits = as_array("travel", limits if limits.ndim else np.full(2, limits), shape=(2,))
     shortest = float(limits.min())
     longest = USED * shortest
-    if step is not None:
-        longest = min(longest, scalar("step", step, above=0))
+    if longest_move is not None:
+        longest = min(longest, scalar("longest_move", longest_move, above=0))
     move = min(shortest / 10, longest) if test_move is None else test_move
-    settings = Settings(
+    options = LoopOptions(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=limits,
         test_move=scalar("test_move", move, above=0, most=longest),
         tolerance=scalar("tolerance", tolerance, above=0),
-        step=step,
+        longest_move=longest_move,
         timeout=scalar("timeout", timeout, above=0),
         progress=progress,
     )
     given = None if jacobian is None else full_rank(jacobian, (2, 2))
-    loop = Loop(workstation, tracker, settings)
+    loop = Loop(workstation, tracker, options)
     reason = ""
     error: BaseException | None = None
-    try:
-        loop.run(given)
-    except EndRun as end:
-        reason = str(end)
-    except KeyboardInterrupt as interrupt:
-        reason, error = "interrupted by the user", interrupt
-    except Exception as fault:  # of a device, a tracker or `progress`
-        reason, error = f"{type(fault).__name__}: {fault}", fault
-    with ignored_interrupts():
-        trouble = stop_stage(workstation, settings.timeout)
+    with InterruptGate() as gate:
+        try:
+            try:
+                gate.is_open = True
+                loop.run(given)
+            finally:
+                gate.is_open = False
+        except EndRun as end:
+            reason = str(end)
+        except KeyboardInterrupt as interrupt:
+            gate.is_open = False  # The interrupt can precede the same line above.
+            reason, error = "interrupted by the user", interrupt
+        except Exception as fault:  # of a device, a tracker or `progress`
+            reason, error = f"{type(fault).__name__}: {fault}", fault
+        trouble = stop_stage(workstation, options.timeout)
         reason = "; ".join(filter(None, (reason, trouble)))
         run = _result(loop, reason, not trouble, error)
         if isinstance(error, KeyboardInterrupt):
@@ -232,6 +238,6 @@ def _result(loop: Loop, reason: str, still: bool, error: BaseException | None) -
         jacobian=loop.motion.jacobian,
         jacobian_covariance=loop.motion.covariance,
         drift=loop.motion.drift,
-        misfit=loop.motion.misfit,
+        reduced_chi2=loop.motion.reduced_chi2,
         error=error,
     )

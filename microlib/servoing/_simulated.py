@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, as_array, generator
 from microlib.servoing._control import full_rank
-from microlib.servoing._workstation import Camera, Stage
+from microlib.servoing._workstation import CameraTiming, StageModel
 
 #: Given where the feature is, (x, y) in px, the frame.
 Render = Callable[[Array], ArrayLike]
@@ -29,9 +29,9 @@ class SimulatedWorkstation:
         Given the feature (x, y) in px, returns the grey frame of that moment.
     jacobian : array_like, shape (2, 2)
         The true px/µm of the stage's axes, turned and mirrored as the camera is mounted.
-    stage : Stage
+    stage : StageModel
         The model of the stage. Each axis runs at its saturation and none leaves the travel.
-    camera : Camera
+    camera : CameraTiming
         ``snap`` returns one latency after the exposure; each frame is shaken by the jitter. The
         interval is the shortest time between two exposures.
     rng : numpy.random.Generator or int
@@ -60,10 +60,10 @@ class SimulatedWorkstation:
     Examples
     --------
     >>> import numpy as np
-    >>> from microlib.servoing import Camera, SimulatedWorkstation, Stage
+    >>> from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel
     >>> workstation = SimulatedWorkstation(
     ...     lambda feature: np.zeros((9, 9)), jacobian=np.eye(2), home=(4, 4),
-    ...     stage=Stage(saturation=100.0), camera=Camera(interval=0.03, latency=0.01), rng=0)
+    ...     stage=StageModel(saturation=100.0), camera=CameraTiming(0.03, latency=0.01), rng=0)
     >>> workstation.stage.move_to(np.array([2.0, -1.0]))
     >>> workstation.clock.sleep(0.01)
     >>> workstation.feature, workstation.stage.moving()
@@ -75,8 +75,8 @@ class SimulatedWorkstation:
         render: Render,
         *,
         jacobian: ArrayLike,
-        stage: Stage,
-        camera: Camera,
+        stage: StageModel,
+        camera: CameraTiming,
         rng: np.random.Generator | int,
         home: ArrayLike = (0.0, 0.0),
         drift: ArrayLike = (0.0, 0.0),
@@ -109,7 +109,7 @@ class SimulatedWorkstation:
 class _SimulatedStage:
     """Two axes that go to a position while the clock moves them on."""
 
-    def __init__(self, model: Stage) -> None:
+    def __init__(self, model: StageModel) -> None:
         self._model = model
         self._position: Array = np.zeros(2)
         self._target: Array = np.zeros(2)

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Tidy, as_array, generator, scalar
 from microlib.servoing._control import full_rank
 
-#: Given the number of the sample, the measured feature (px, NaN if lost) and all references, a
-#: velocity in µm/s. For N runs, feature and velocity have the shape (N, 2).
+#: The control law of `simulate`: from the number k of the sample, the measured feature (px, NaN if
+#: lost) and all references, shape (K, 2), to a velocity in µm/s. With N runs at once, feature and
+#: velocity have the shape (N, 2). It is called once for each sample, in order. A run begins with
+#: k = 0, at which a controller that keeps a state must forget the run before.
 Controller = Callable[[int, Array, Array], Array]
 
 #: Given the true feature (px), returns the measured one; NaN if it is lost.
@@ -24,37 +26,39 @@ Observer = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
-class Stage:
-    """A two-axis stage with its own position loop.
+class StageModel:
+    """Parameters of a simulated two-axis stage, which has its own position loop.
 
     Attributes
     ----------
     saturation : float
         Largest speed of an axis, µm/s.
-    step : float
-        Position increment, µm (0.05 for the stages of §5.1).
+    increment : float
+        Distance between two positions that the drive can take, µm (0.05 for the stages of §5.1).
     travel : float
         Range of an axis, ± µm around the start (15 mm in all for the stages of §5.1).
     """
 
     saturation: float
-    step: float = 0.05
+    increment: float = 0.05
     travel: float = 7500.0
 
     def __post_init__(self) -> None:
         for name in ("saturation", "travel"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        object.__setattr__(self, "step", scalar("step", self.step, least=0))
+        object.__setattr__(self, "increment", scalar("increment", self.increment, least=0))
 
     def rounded(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
         position = as_array("position", position)
-        return np.rint(position / self.step) * self.step if self.step > 0 else position
+        return (
+            np.rint(position / self.increment) * self.increment if self.increment > 0 else position
+        )
 
 
 @dataclass(frozen=True)
-class Camera:
-    """When the loop sees and how well.
+class CameraTiming:
+    """Times of a simulated camera's frames, and how much the image shakes.
 
     Attributes
     ----------
@@ -79,7 +83,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Tidy):
-    """What happened, one row a frame; an axis of length N comes first for N runs.
+    """Result of `simulate`, one row a frame; an axis of length N comes first for N runs.
 
     Attributes
     ----------
@@ -111,8 +115,8 @@ def simulate(
     reference: ArrayLike,
     *,
     jacobian: ArrayLike,
-    stage: Stage,
-    camera: Camera,
+    stage: StageModel,
+    camera: CameraTiming,
     rng: np.random.Generator | int | Sequence[np.random.Generator],
     start: ArrayLike | None = None,
     observer: Observer | None = None,
@@ -122,14 +126,21 @@ def simulate(
     Parameters
     ----------
     controller : callable
-        For example `OptimalController`.
+        The control law, called as ``controller(k, measured, reference)`` once for each sample, in
+        order, for example an `OptimalController`. It returns the velocity in µm/s. ``k`` is the
+        number of the sample; a run begins with 0, at which a controller that keeps a state must
+        forget the run before. ``measured`` is the feature in px, NaN if it is lost, and
+        ``reference`` contains all K references. With N runs, the measured feature and the velocity
+        have the shape (N, 2).
     reference : array_like, shape (K, 2)
         Wanted feature at each exposure, px.
     jacobian : array_like, shape (2, 2) or (N, 2, 2)
         The true px/µm of the two axes, which may differ from those of the controller. With N
         Jacobians, N runs are simulated at once.
-    stage, camera : Stage, Camera
-        The apparatus.
+    stage : StageModel
+        Largest speed, increment and travel of the stage.
+    camera : CameraTiming
+        Interval, latency and jitter of the frames.
     rng : numpy.random.Generator or int, or list of N generators
         Source of the jitter, or its seed; a list has one for each of N runs.
     start : array_like, shape (2,) or (N, 2), optional
@@ -142,9 +153,7 @@ def simulate(
     Returns
     -------
     Simulation
-        What happened, one row a frame: ``time`` (s), ``reference``, ``feature`` and ``measured``
-        (K×2, px; a lost measurement is NaN), ``position`` of the stage (K×2, µm from the start),
-        ``command`` (K×2, µm/s) and ``saturated`` (K). With N runs, all but ``time`` and
+        Features, positions and commands, one row a frame. With N runs, all but ``time`` and
         ``reference`` have N as their first axis.
 
     Raises
@@ -157,11 +166,11 @@ def simulate(
     Examples
     --------
     >>> import numpy as np
-    >>> from microlib.servoing import Camera, Stage, simulate
+    >>> from microlib.servoing import CameraTiming, StageModel, simulate
     >>> def proportional(k, measured, reference):
     ...     return 10.0 * (reference[k] - measured)
     >>> run = simulate(proportional, np.full((80, 2), 5.0), jacobian=np.eye(2), start=(0, 0),
-    ...                stage=Stage(saturation=100.0), camera=Camera(interval=0.02),
+    ...                stage=StageModel(saturation=100.0), camera=CameraTiming(interval=0.02),
     ...                rng=0)
     >>> run.feature[-1].round(1)
     array([5., 5.])

@@ -13,7 +13,7 @@ from compendium.experiments.chapter_2 import turned_camera
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian
 from microlib.membrane import SmallSlopeWarning, dimple_profile, elastic_modulus, modulus_std
-from microlib.servoing import Camera, Stage, loop_poles, simulate
+from microlib.servoing import CameraTiming, StageModel, loop_poles, simulate
 from tests.book.browsing import hindrances, open_page
 
 COUNT = 200
@@ -111,7 +111,10 @@ def test_browser_poles_equal_library(tools: Page) -> None:
 def simulated(gain: float, delay: float, noise: np.ndarray) -> np.ndarray:
     """Return the feature after a step of 50 px, by the simulated workstation, 1 s a frame."""
     wrong = iter(noise)
-    stage, camera = Stage(1e50, step=0.0, travel=1e50), Camera(interval=1.0, latency=delay)
+    stage, camera = (
+        StageModel(1e50, increment=0.0, travel=1e50),
+        CameraTiming(interval=1.0, latency=delay),
+    )
     apparatus = {"jacobian": np.eye(2), "stage": stage, "camera": camera, "rng": 0}
     run = simulate(
         lambda k, measured, reference: gain * (reference[k] - measured),

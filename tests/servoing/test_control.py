@@ -72,8 +72,8 @@ def test_simulated_loop_decays_as_its_poles(gain, delay):
     controller = servoing.OptimalController(
         JACOBIAN, interval=INTERVAL, feature_weight=(1.0, 1.0), control_weight=(weight, weight)
     )
-    camera = servoing.Camera(interval=INTERVAL, latency=delay * INTERVAL)
-    stage = servoing.Stage(saturation=1e9, step=0.0)
+    camera = servoing.CameraTiming(interval=INTERVAL, latency=delay * INTERVAL)
+    stage = servoing.StageModel(saturation=1e9, increment=0.0)
     run = loop(controller, np.zeros((160, 2)), camera=camera, stage=stage, start=(1.0, 1.0))
     error = run.feature[:, 0]
 
@@ -89,8 +89,8 @@ def test_simulated_loop_decays_as_its_poles(gain, delay):
 
 def loop(controller, reference, saturation=400.0, jitter=0.0, seed=0, **options):
     """Close the loop with commands that take effect 0.8 samples late."""
-    camera = servoing.Camera(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=jitter)
-    stage = servoing.Stage(saturation=saturation)
+    camera = servoing.CameraTiming(interval=INTERVAL, latency=0.8 * INTERVAL, jitter=jitter)
+    stage = servoing.StageModel(saturation=saturation)
     run = {"jacobian": JACOBIAN, "stage": stage, "camera": camera, "rng": seed} | options
     return servoing.simulate(controller, reference, **run)
 
@@ -108,7 +108,7 @@ def test_velocity_is_zero_in_a_lost_frame_and_leads_to_the_next_reference_else()
 
 def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
     def shaken(rng):
-        camera = servoing.Camera(interval=0.5, jitter=0.3)
+        camera = servoing.CameraTiming(interval=0.5, jitter=0.3)
         still = lambda *_: np.zeros(2)  # noqa: E731
         return loop(still, np.zeros((2000, 2)), camera=camera, rng=rng)
 
@@ -140,8 +140,12 @@ def test_runs_simulated_at_once_equal_those_simulated_alone():
         def look(feature):
             return np.where(next(frames)[runs, None], np.nan, feature)
 
-        camera = servoing.Camera(INTERVAL, latency=1.4 * INTERVAL, jitter=0.1)
-        given = {"stage": servoing.Stage(saturation=400.0), "camera": camera, "start": starts[runs]}
+        camera = servoing.CameraTiming(INTERVAL, latency=1.4 * INTERVAL, jitter=0.1)
+        given = {
+            "stage": servoing.StageModel(saturation=400.0),
+            "camera": camera,
+            "start": starts[runs],
+        }
         return servoing.simulate(
             law, path, jacobian=matrices[runs], observer=look, **given, **options
         )

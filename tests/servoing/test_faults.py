@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import SHAPE, make_scope, reach
-from microlib.servoing import Stage, servo
+from microlib.servoing import StageModel, servo
 
 
 def fail(*_):
@@ -61,7 +61,7 @@ def run_with(method, instead, first):
     Returns the run, the microscope, and the largest distance of the stage relative to the travel.
     """
     # The stage is slow, so that an interrupt can arrive during a move.
-    scope = make_scope(0, stage=Stage(saturation=1000.0))
+    scope = make_scope(0, stage=StageModel(saturation=1000.0))
     tracker, stage, camera = scope.tracker(), scope.workstation.stage, scope.workstation.camera
     progress = SimpleNamespace(call=lambda row: None)
     parts = {"tracker": tracker, "stage": stage, "camera": camera, "progress": progress}
@@ -77,7 +77,7 @@ def run_with(method, instead, first):
     camera.snap = lambda: (frames.append(1), snap())[1]
     stage.moving = lambda: (ways.extend(np.abs(position())), moving())[1]
     step = 10.0 / scope.scale  # short, so that faults occur before the target is reached
-    given = {"travel": travel, "test_move": step, "step": step, "timeout": 1.0}
+    given = {"travel": travel, "test_move": step, "longest_move": step, "timeout": 1.0}
     targets = scope.home + np.array([-35.0, 30.0])
     try:
         run = servo(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from microlib.servoing import Camera, SimulatedWorkstation, Stage, servo
+from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
 
 JACOBIAN = np.array([[0.1, -0.35], [-0.4, -0.05]])
 DRIFT = np.array([0.3, -0.2])
@@ -19,8 +19,8 @@ def calibrate(rng, *, excess=1.0, outlier=None, stuck=False, covariance=COVARIAN
         jacobian=JACOBIAN,
         home=(80.0, 60.0),
         drift=DRIFT,
-        stage=Stage(saturation=1e6, step=0.0),
-        camera=Camera(interval=0.1),
+        stage=StageModel(saturation=1e6, increment=0.0),
+        camera=CameraTiming(interval=0.1),
         rng=rng,
     )
     if stuck:
@@ -48,14 +48,14 @@ def test_jacobian_covariance_matches_scatter_of_repeated_calibrations(excess):
     errors = np.array([np.append(run.jacobian - JACOBIAN, run.drift - DRIFT) for run in every])
     # χ² of 10 degrees of freedom, divided by 10, has the mean 1 and the standard deviation 0.45.
     # The mean of 300 runs is known to 2.6 %; the library's floor of 1e-3 px lowers it by 0.3 %.
-    assert np.mean([run.misfit for run in every]) == pytest.approx(excess, rel=0.08)
+    assert np.mean([run.reduced_chi2 for run in every]) == pytest.approx(excess, rel=0.08)
     # The mean of 300 errors scatters by a seventeenth of their deviation; 0.2 is more than three
     # of those.
     assert (np.abs(np.mean(errors, axis=0)) < 0.2 * np.std(errors, axis=0)).all()
     stated = np.mean([run.jacobian_covariance for run in every], axis=0)
     values = np.linalg.eigvals(np.linalg.solve(np.cov(errors[:, :4].T), stated)).real
-    # 300 runs determine a variance to 8 %. A misfit below 1 does not reduce the covariance. Where
-    # the tracks explain the scatter, enlarging it whenever χ² is above its mean makes the
+    # 300 runs determine a variance to 8 %. A reduced χ² below 1 does not reduce the covariance.
+    # Where the tracks explain the scatter, enlarging it whenever χ² is above its mean makes the
     # covariance a fifth too large, never too small.
     values *= min(excess, 1.0)
     assert values.min() > 0.8

@@ -33,12 +33,12 @@ def sample(u) -> dict:
     return {"k": 2, "measured": origin + STEP * u.px, "reference": origin + PATH * u.px}
 
 
-def stage(u) -> servoing.Stage:
-    return servoing.Stage(400.0 * u.um / u.s, step=0.07 * u.um, travel=900.0 * u.um)
+def stage(u) -> servoing.StageModel:
+    return servoing.StageModel(400.0 * u.um / u.s, increment=0.07 * u.um, travel=900.0 * u.um)
 
 
-def camera(u) -> servoing.Camera:
-    return servoing.Camera(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
+def camera(u) -> servoing.CameraTiming:
+    return servoing.CameraTiming(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
 
 
 def begun(u) -> servoing.SimulatedWorkstation:
@@ -48,8 +48,8 @@ def begun(u) -> servoing.SimulatedWorkstation:
     found = servoing.SimulatedWorkstation(
         lambda feature: np.zeros((9, 9)),
         jacobian=J * u.px / u.um,
-        stage=servoing.Stage(400.0 * u.um / u.s, step=0.0, travel=9000.0 * u.um),
-        camera=servoing.Camera(0.03 * u.s, latency=0.01 * u.s),
+        stage=servoing.StageModel(400.0 * u.um / u.s, increment=0.0, travel=9000.0 * u.um),
+        camera=servoing.CameraTiming(0.03 * u.s, latency=0.01 * u.s),
         rng=0,
         home=np.array([u.x0, u.y0]) - away - drift * u.t0,
         drift=drift,
@@ -92,7 +92,7 @@ def steered(u) -> dict:
         "targets": np.array([u.x0, u.y0]) + np.array([STEP, -STEP]),
         "travel": np.array([400.0, 500.0]) * u.um,
         "test_move": 41.0 * u.um,  # its time is no multiple of the 2 ms between two polls
-        "step": 70.0 * u.um,
+        "longest_move": 70.0 * u.um,
         "tolerance": 0.1,
     }
 
@@ -107,11 +107,11 @@ LOG = {
 METRICS = {"accuracy": px, "precision": px}
 
 LAWS = {
-    "servoing.Camera": Row(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
+    "servoing.CameraTiming": Row(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
         "jitter": 0.1 * u.px}, {"interval": s, "latency": s, "jitter": px}),
-    "servoing.Stage": Row(lambda u: vars(stage(u)), {"saturation": um / s, "step": um,
+    "servoing.StageModel": Row(lambda u: vars(stage(u)), {"saturation": um / s, "increment": um,
         "travel": um}),
-    "servoing.Stage.rounded": Row(lambda u: {"self": stage(u),
+    "servoing.StageModel.rounded": Row(lambda u: {"self": stage(u),
         "position": np.array([1.23, -45.6]) * u.um}, um),
     "servoing.MicroManager": TestedBy(
         test_micromanager.test_stage_of_micromanager_is_the_xy_stage_of_the_core,
@@ -139,7 +139,7 @@ LAWS = {
         {**dict.fromkeys(("reached", "reason", "still", "error"), SAME), "log": LOG,
         **LOG, "jacobian": px / um, "jacobian_covariance": px**2 / um**2, "drift": px / s,
         # px and s are fixed by the frames and by the interval at which devices are polled
-        "misfit": NUMBER}, laws=GOES_ON, fixed=("px", "s")),
+        "reduced_chi2": NUMBER}, laws=GOES_ON, fixed=("px", "s")),
     "servoing.simulate": Row(lambda u: {"controller": servoing.OptimalController(**weighted(u)),
         "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
         "stage": stage(u), "camera": camera(u), "rng": 0,
@@ -165,7 +165,11 @@ def test_stage_motion_follows_rotation_of_camera(view):
     control = servoing.OptimalController(J, feature_weight=Q, **plain)
     other = servoing.OptimalController(turn @ J, feature_weight=view.covariance(Q), **plain)
     np.testing.assert_allclose(other.gain @ turn, control.gain, rtol=1e-9)
-    loop = {"stage": servoing.Stage(400.0), "camera": servoing.Camera(0.03, latency=0.04), "rng": 0}
+    loop = {
+        "stage": servoing.StageModel(400.0),
+        "camera": servoing.CameraTiming(0.03, latency=0.04),
+        "rng": 0,
+    }
     runs = [
         servoing.simulate(c, m @ STEP + PATH @ m.T, jacobian=m @ J, start=m @ [12.0, -5.0], **loop)
         for c, m in ((control, np.eye(2)), (other, turn))
@@ -191,7 +195,7 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
     lost[0] = False  # the first frame precedes the phase "servo"
     workstation = begun(Units())
     tracker = seeing(workstation, np.flatnonzero(lost))
-    given = {"jacobian": J, "travel": 400.0, "step": 6.0}
+    given = {"jacobian": J, "travel": 400.0, "longest_move": 6.0}
     run = servoing.servo(workstation, tracker, workstation.feature + STEP, **given, tolerance=0.2)
     seen = run.log.loc[run.log["phase"] == "servo", "lost"].to_numpy()
     end = len(seen)

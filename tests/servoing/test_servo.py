@@ -1,7 +1,9 @@
 """The loop over a microscope: the targets it reaches, the limits it keeps, and how it ends."""
 
+import itertools
 import os
 import signal
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import make_scope, turned
-from microlib.servoing import Stage, servo
+from microlib.servoing import StageModel, servo
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
 AWAY = np.array([30.0, -25.0])
@@ -61,12 +63,12 @@ def test_second_run_with_the_jacobian_of_the_first_needs_no_calibration():
     again = steer(scope, AWAY, jacobian=run.jacobian)
     assert again.reached.all()
     assert "calibration" not in again.log["phase"].to_numpy()
-    for unknown in (again.jacobian_covariance, again.drift, again.misfit):
+    for unknown in (again.jacobian_covariance, again.drift, again.reduced_chi2):
         assert np.isnan(unknown).all()
 
 
 def test_moves_stay_within_step_and_travel():
-    run = steer(scope_of(), AWAY, step=20.0, test_move=20.0, travel=170.0)
+    run = steer(scope_of(), AWAY, longest_move=20.0, test_move=20.0, travel=170.0)
     assert run.reached.all()
     way = np.hypot(*np.diff(run.log[["stage_x_um", "stage_y_um"]].to_numpy(), axis=0).T)
     assert way.max() == pytest.approx(20.0, abs=0.5)  # rounding of times, and two increments
@@ -100,7 +102,7 @@ def test_servo_runs_outside_the_main_thread():
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("between", [0.02, 0.1, 0.2])
 def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
-    scope = scope_of(stage=Stage(saturation=100.0))
+    scope = scope_of(stage=StageModel(saturation=100.0))
     stage, calls = scope.workstation.stage, []
     second = threading.Timer(between, os.kill, (os.getpid(), signal.SIGINT))
     for name in ("move_to", "stop"):
@@ -114,7 +116,7 @@ def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        steer(scope, AWAY, step=20.0, test_move=20.0, progress=press)
+        steer(scope, AWAY, longest_move=20.0, test_move=20.0, progress=press)
     sent = second.finished.is_set()
     second.cancel()  # it would interrupt pytest
     assert sent
@@ -125,6 +127,83 @@ def test_second_interrupt_keeps_the_run_and_the_stage_is_stopped(between):
     where = stage.position()
     scope.workstation.clock.sleep(1.0)
     np.testing.assert_array_equal(stage.position(), where)
+
+
+def run_at_once(first=-1, second=0):
+    """Return what one run does if Ctrl-C is pressed when a line of the code of `servoing` begins.
+
+    It is pressed again when `second` functions of it were called or left after that, if it still
+    runs. Returns whether it was interrupted, how many lines ran, whether the stage was told to stop
+    after the last move, and the handler of Ctrl-C afterwards.
+    """
+    calls, lines, after = [], itertools.count(), itertools.count(1)
+    position = np.zeros(2)
+
+    def move_to(target):
+        calls.append("move_to")
+        position[:] = target
+
+    device = SimpleNamespace(
+        snap=lambda: (np.zeros((3, 3)), 0.0), position=position.copy, move_to=move_to,
+        moving=lambda: False, stop=lambda: calls.append("stop"), now=float, sleep=abs,
+    )  # fmt: skip
+    workstation = SimpleNamespace(camera=device, stage=device, clock=device)
+
+    def trace(frame, event, argument):
+        if not frame.f_globals["__name__"].startswith("microlib.servoing"):
+            return None
+        if event == "line" and next(lines) == first:
+            sys.setprofile(profile)
+            signal.raise_signal(signal.SIGINT)
+        return trace
+
+    def profile(frame, *_):  # an exception ends the calls of `trace`, but not those of `profile`
+        inside = frame.f_globals["__name__"].startswith("microlib.servoing")
+        if inside and next(after) == second:
+            signal.raise_signal(signal.SIGINT)
+
+    sys.settrace(trace)
+    try:
+        given = {"travel": 20.0, "jacobian": np.eye(2)}
+        servo(workstation, seeing(position.copy), (3.0, 4.0), **given)
+        interrupted = False
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        sys.settrace(None)
+        sys.setprofile(None)
+    stopped = "move_to" not in calls or calls[-1] == "stop"
+    return interrupted, next(lines), stopped, signal.getsignal(signal.SIGINT)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_stage_is_stopped_and_handler_restored_wherever_ctrl_c_is_pressed(monkeypatch):
+    monkeypatch.setattr("microlib.servoing._servo._DEBOUNCE", 0.0)
+    before = signal.getsignal(signal.SIGINT)
+    interrupted, count, stopped, after = run_at_once()
+    assert (interrupted, stopped, after) == (False, True, before)
+    results = [run_at_once(n, second) for n in range(count) for second in (0, 1, 4)]
+    assert all(stopped for *_, stopped, _ in results)
+    assert all(after is before for *_, after in results)
+    assert sum(interrupted for interrupted, *_ in results) > len(results) / 2
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("handler", [signal.SIG_IGN, signal.SIG_DFL, None])
+def test_own_handler_of_ctrl_c_is_called_during_the_run_and_kept(handler):
+    pressed = []
+    own = (lambda *_: pressed.append(1)) if handler is None else handler
+    signal.signal(signal.SIGINT, own)
+    scope = scope_of()
+
+    def press(row):
+        if handler is not signal.SIG_DFL:  # which would end Python
+            signal.raise_signal(signal.SIGINT)
+
+    run = steer(scope, AWAY, progress=press)
+    assert run.reached.all()  # since this handler raises nothing
+    assert len(pressed) == (handler is None) * (len(run.log) - 1)
+    assert signal.getsignal(signal.SIGINT) is own
 
 
 # --- How a run ends, and the reason that it states ----------------------------------------------
@@ -150,7 +229,7 @@ def test_two_wrong_tracks_do_not_end_the_run():
     scope = scope_of()
     bad, feature = iter([0, 0, 1, 1, 0, 1, 1] + [0] * 20), lambda: scope.workstation.feature
     tracker = seeing(lambda: feature() + 60.0 * next(bad))
-    given = {"travel": 500.0, "jacobian": JACOBIAN, "step": 60.0}
+    given = {"travel": 500.0, "jacobian": JACOBIAN, "longest_move": 60.0}
     run = servo(scope.workstation, tracker, scope.home + AWAY, **given)
     assert run.reached.all()
     assert run.reason == ""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compendium.experiments.microscope import make_scope
-from microlib.servoing import Camera, Stage
+from microlib.servoing import CameraTiming, StageModel
 
 
 def workstation(**options):
@@ -12,12 +12,12 @@ def workstation(**options):
 
 
 def test_stage_positions_are_multiples_of_its_step():
-    quantized = Stage(saturation=1.0).rounded(np.array([0.024, 0.026, -1.31]))
+    quantized = StageModel(saturation=1.0).rounded(np.array([0.024, 0.026, -1.31]))
     np.testing.assert_allclose(quantized, [0.0, 0.05, -1.3], atol=1e-12)
 
 
 def test_stage_reports_a_move_until_it_arrives():
-    scope = workstation(stage=Stage(saturation=500.0))
+    scope = workstation(stage=StageModel(saturation=500.0))
     home = scope.feature
     scope.stage.move_to(np.array([50.0, -20.0]))
     scope.clock.sleep(0.099)
@@ -30,7 +30,7 @@ def test_stage_reports_a_move_until_it_arrives():
 
 
 def test_stop_ends_a_move_at_the_current_position():
-    scope = workstation(stage=Stage(saturation=100.0, step=0.0))
+    scope = workstation(stage=StageModel(saturation=100.0, increment=0.0))
     scope.stage.move_to(np.array([300.0, 0.0]))
     scope.clock.sleep(0.1)
     scope.stage.stop()
@@ -40,7 +40,9 @@ def test_stop_ends_a_move_at_the_current_position():
 
 
 def test_simulated_feature_drifts_and_stage_stays_within_travel():
-    scope = workstation(stage=Stage(saturation=50.0, step=0.0, travel=20.0), drift=(1.0, -2.0))
+    scope = workstation(
+        stage=StageModel(saturation=50.0, increment=0.0, travel=20.0), drift=(1.0, -2.0)
+    )
     scope.stage.move_to(np.array([2.0, -400.0]))
     scope.clock.sleep(0.2)
     np.testing.assert_allclose(scope.stage.position(), (2.0, -10.0))
@@ -53,7 +55,7 @@ def test_simulated_feature_drifts_and_stage_stays_within_travel():
 
 
 def test_exposures_are_one_interval_apart_and_frames_return_after_the_latency():
-    scope = workstation(camera=Camera(interval=0.25, latency=0.1))
+    scope = workstation(camera=CameraTiming(interval=0.25, latency=0.1))
     times = [scope.camera.snap()[1] for _ in range(3)]
     np.testing.assert_allclose(times, [0.0, 0.25, 0.5])
     assert scope.clock.now() == pytest.approx(0.6)
