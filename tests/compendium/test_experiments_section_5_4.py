@@ -84,6 +84,6 @@ def test_known_disturbance_is_identified(station, monkeypatch):
     table, numbers = servo_disturbances.compare(station)
     assert table["disturbance"].tolist() == [label, "none"]
     assert table["fitted"].iloc[0].split()[0] in {"10", "14", "20"}
-    assert table["deviation"].iloc[0] < 0.1 < 0.3 < table["misfit"].iloc[1]
+    assert table["deviation"].iloc[0] < 0.1 < 0.3 < table["deviation"].iloc[1]
     logs = np.log(numbers[label]["fitted"] / numbers[label]["printed"])
     assert np.sqrt(np.mean(logs**2)) == pytest.approx(table["deviation"].iloc[0])
