@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, Frames, Image, whole
 from microlib.focus import multiscale
 from microlib.focus._filters import blur
-from microlib.focus._measures import MEASURES, FocusMeasure, single_measure
+from microlib.focus._measures import FocusMeasure, single_measure
 from microlib.focus._peaks import three_point_peak, track_peaks
 from microlib.focus._registration import register as find_registration
 from microlib.focus._result import DepthMap, FocusResult, build_result
@@ -46,22 +45,19 @@ def depth_from_focus(
 
     Parameters
     ----------
-    frames : array_like, path, iterable, or dask or zarr array
+    frames : array_like, path or iterable
         At least three frames, grey or in color, of 8 or 16 bits or floating point. The frames may
         be an array, a multi-page TIFF or OME-TIFF, a folder or file-name pattern of images, a
         video, or an iterable of images or image files, such as a generator;
         `microlib.io.read_frames` describes these forms. Color frames are converted to luminance.
-        All frames are held in memory, except those of a dask or zarr array of shape (n, rows,
-        cols). Such an array is processed block by block and may be larger than the memory. The
-        options `progress`, `measure`, `register`, `reduce` and `workers` cannot be used with dask
-        and zarr arrays.
+        All frames are held in memory.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata or
         from an xarray.DataArray.
     spacing : float, optional
         Distance between adjacent frames, µm, given instead of `positions`. The first frame is at 0.
-    measure : {MEASURES} or callable
+    measure : {"multiscale", "sml"} or callable
         Focus measure. "multiscale" combines several focus measures; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
         same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
@@ -69,8 +65,7 @@ def depth_from_focus(
         Side of the square over which the measure is summed, px, odd; by default 5. Not accepted
         with "multiscale", which chooses its windows itself, and not with a callable.
     workers : int
-        Number of threads. The result does not depend on this number. For a dask or zarr array, dask
-        distributes the blocks instead.
+        Number of threads. The result does not depend on this number.
     register : bool
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
         The result is aligned with the middle frame. A pixel has no depth if an
@@ -87,9 +82,7 @@ def depth_from_focus(
     Returns
     -------
     FocusResult
-        Depth in µm with its uncertainty, and the all-in-focus image. For a dask or zarr array the
-        results are dask arrays. Dask computes them when they are needed, and ``to_zarr`` writes
-        them.
+        Depth in µm with its uncertainty, and the all-in-focus image.
 
     Raises
     ------
@@ -98,7 +91,7 @@ def depth_from_focus(
         differ in time or channel instead of focus, or have values that are not finite or exceed
         ±10¹⁰. If the number of positions differs from that of the frames, or if positions are not
         finite, not strictly monotonic, or not known. If a file cannot be read. If an option is out
-        of range or does not apply to this measure or array. With `register`, if fewer than half of
+        of range or does not apply to this measure. With `register`, if fewer than half of
         the frames show the same scene.
 
     Warns
@@ -114,8 +107,8 @@ def depth_from_focus(
     "multiscale" assumes that the object has texture, and that the focus measure of a pixel is
     nearly a Gaussian function of the distance of the pixel from focus. The second assumption
     follows from (3.9) if the blur is proportional to this distance. The page *How the library is
-    built* lists the ten steps of "multiscale" and their settings. Except at steps of the depth, the
-    depth is smoothed by planes that are fitted within a radius of 7 px. A depth is NaN where noise
+    built* lists the stages of "multiscale" and their settings. Except at steps of the surface, the
+    depth is smoothed by planes whose weights are a Gaussian of σ = 7 px. A depth is NaN where noise
     alone can cause the peak, where different focus measures contradict each other, and in small
     isolated regions.
 
@@ -140,10 +133,6 @@ def depth_from_focus(
     over the scan, unless "multiscale" fits a peak inside the scan. If several frames have the same
     maximum, the first of these frames is the best frame.
 
-    The blocks of a dask array are its chunks if their sides are multiples of 64 px, and chunks of
-    1024 px otherwise. Each block is computed with an overlap of 128 px. The RMS difference between
-    the depths of the blocks and of the whole image is at most 0.004 frame spacings.
-
     References
     ----------
     S. K. Nayar and Y. Nakagawa, Shape from focus, IEEE Trans. PAMI 16 (1994) 824.
@@ -163,15 +152,6 @@ def depth_from_focus(
     """
     single = single_measure(measure, window)
     threads = whole("workers", workers, least=1)
-    if multiscale.is_in_blocks(getattr(frames, "data", frames)):  # that of an xarray.DataArray
-        usual: Any = depth_from_focus.__kwdefaults__
-        given = {"measure": measure, "workers": workers, "register": register, "reduce": reduce}
-        for name, value in (given | {"progress": progress}).items():
-            if value != usual[name]:
-                raise ValueError(
-                    f"{name} must not be given for a dask or zarr array, got {value!r}"
-                )
-        return multiscale.depth_in_blocks(frames, positions, spacing, region)
     report = progress or (lambda done, count: None)
     source = read_frames(frames, region=region, reduce=reduce, color=True)
     stack = read_stack(source, positions, spacing, report)
@@ -198,11 +178,6 @@ def depth_from_focus(
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
     return build_result(found, stack, kept, dtype, registration=registration, margin=margin)
-
-
-depth_from_focus.__doc__ = str(depth_from_focus.__doc__).replace(
-    "{MEASURES}", "{" + ", ".join(f'"{name}"' for name in ("multiscale", *MEASURES)) + "}"
-)
 
 
 def three_point_depth(

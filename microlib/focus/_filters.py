@@ -20,6 +20,17 @@ def blur(image: NDArray, sigma: float) -> NDArray:
     return np.asarray(cv2.blur(cv2.blur(image, (side, side)), (side, side)))
 
 
+def ratio(numerator: NDArray, denominator: NDArray) -> NDArray:
+    """Divide two maps; 0 where the denominator is no more than the rounding of its largest value.
+
+    The sums of `blur` run along a row, so that they leave a rounding residue where all is 0.
+    """
+    floor = np.finfo(np.float32).eps * denominator.max()
+    return np.divide(
+        numerator, denominator, out=np.zeros_like(numerator), where=denominator > floor
+    )
+
+
 def halved(image: NDArray, times: int = 1) -> NDArray:
     """Return the means of blocks of 2^times px; an odd side is continued by its edge."""
     for _ in range(times):

@@ -86,7 +86,7 @@ def sum_modified_laplacian(
 
 #: The focus measures of one frame, by the name that `depth_from_focus` gives them. Each takes an
 #: image and ``window``, the side of the square over which it is summed, px. A new one is one entry:
-#: documentation, error messages, tests and benchmarks read this table.
+#: error messages, tests and benchmarks read this table.
 MEASURES: dict[str, Callable[..., NDArray]] = {"sml": sum_modified_laplacian}
 
 

@@ -17,7 +17,7 @@ from microlib.io import Stack
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FocusResult(Tidy):
-    """Shape from focus, one value for every pixel; of a dask array dask arrays.
+    """Shape from focus, one value for every pixel.
 
     Attributes
     ----------
@@ -77,8 +77,6 @@ class FocusResult(Tidy):
 
     def __repr__(self) -> str:
         rows, cols = self.depth.shape
-        if not isinstance(self.depth, np.ndarray):
-            return f"FocusResult({rows}×{cols} px, dask arrays that are not computed yet)"
         numbers = self.to_dict()
         text = f"FocusResult({rows}×{cols} px, {100 * numbers['known']:.1f} % known"
         if numbers["known"]:
@@ -96,8 +94,8 @@ class FocusResult(Tidy):
             median and largest depth, median and largest uncertainty, µm, None where nothing is
             known; ``at_end``, the share of pixels that are sharpest in an end frame.
         """
-        known = np.isfinite(np.asarray(self.depth))
-        maps = (np.asarray(values)[known] for values in (self.depth, self.uncertainty))
+        known = np.isfinite(self.depth)
+        maps = (values[known] for values in (self.depth, self.uncertainty))
         depth, error = (values if known.any() else np.full(1, np.nan) for values in maps)
         return flat_row(
             {
@@ -109,7 +107,7 @@ class FocusResult(Tidy):
                 "depth_largest": depth.max(),
                 "uncertainty_median": np.median(error),
                 "uncertainty_largest": error.max(),
-                "at_end": np.asarray(self.at_end).mean(),
+                "at_end": self.at_end.mean(),
             }
         )
 

@@ -33,7 +33,7 @@ def test_surface_in_focus_in_the_first_or_last_frame_has_depth(end, count):
     assert found.at_end.mean() > 0.9
 
 
-@pytest.mark.parametrize("kind", ["grey", "in color", "in blocks"])
+@pytest.mark.parametrize("kind", ["grey", "in color"])
 def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth(kind):
     """A black frame is left out, and counted."""
     positions = np.linspace(0, 14, 57)
@@ -43,12 +43,9 @@ def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth(kind):
         stack = np.rint(stack[..., None] * [1, 0.8, 0.6]).astype(np.uint8)
     for order in (1, -1):
         frames, z = stack[::order], positions[::order]
-        given = frames
-        if kind == "in blocks":
-            given = pytest.importorskip("dask.array").from_array(frames)
         with pytest.warns(UserWarning, match="left out"):
-            found = depth_from_focus(given, z)
-        depth, index = np.asarray(found.depth), np.asarray(found.index)
+            found = depth_from_focus(frames, z)
+        depth, index = found.depth, found.index
         least = np.abs(np.delete(positions, 25)[:, None, None] - depth).min(axis=0)
         np.testing.assert_allclose(np.abs(z[index] - depth), least, atol=1e-5)  # of float32
         chosen = frames[(index, *np.indices(SHAPE))]

@@ -4,15 +4,12 @@ The default method finds peaks at several scales, rejects some and refines the o
 significance and of the symmetry of peaks are applied to every measure.
 """
 
-from microlib.focus.multiscale._blocks import depth_in_blocks, is_in_blocks
 from microlib.focus.multiscale._depth import multiscale_depth
 from microlib.focus.multiscale._significance import peak_significance
 from microlib.focus.multiscale._symmetry import find_symmetry, shape_error
 
 __all__ = [
-    "depth_in_blocks",
     "find_symmetry",
-    "is_in_blocks",
     "multiscale_depth",
     "peak_significance",
     "shape_error",

@@ -12,11 +12,9 @@ from microlib._common import Array, Image
 from microlib.focus._result import DepthMap
 from microlib.focus.multiscale._axis import Axis, sample_tiles
 from microlib.focus.multiscale._fits import Fits, describe_axis, fit_stack
-from microlib.focus.multiscale._full_size import fit_steps
 from microlib.focus.multiscale._measure import doubled
 from microlib.focus.multiscale._refine import enlarge, refine
 from microlib.focus.multiscale._reject import RULES, Rule, find_peaks, typical
-from microlib.focus.multiscale._relief import step_height
 from microlib.focus.multiscale._settings import Settings
 
 DEFAULT = Settings()
@@ -28,8 +26,6 @@ def multiscale_depth(
     *,
     workers: int = 1,
     done: Callable[[float], object] = lambda share: None,
-    axis: Axis | None = None,
-    typical_strength: float | None = None,
     rules: Sequence[Rule] = RULES,
     settings: Settings = DEFAULT,
 ) -> DepthMap:
@@ -45,9 +41,6 @@ def multiscale_depth(
         Threads.
     done : callable
         Called with the share of the rows that has been measured in all frames.
-    axis, typical_strength : optional
-        The `describe_axis` and the median strength of the fits of a larger stack, of which this is
-        a part.
     rules : sequence of callable
         Rules that reject peaks.
     settings : Settings
@@ -58,24 +51,16 @@ def multiscale_depth(
     if any(more):  # smaller ones are mirrored at their border
         mirrored = cv2.BORDER_REFLECT
         frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
-    if axis is None:
-        axis = describe_axis([sample_tiles(frame) for frame in frames], positions, settings)
+    axis = describe_axis([sample_tiles(frame) for frame in frames], positions, settings)
     fits = fit_stack(frames, axis, settings, workers=workers, done=done)
-    strength = typical_strength or typical(fits.strength)
+    strength = typical(fits.strength)
     peaks = find_peaks(fits, axis, settings, strength)
     for rule in rules:
         peaks = peaks.without(rule(peaks, settings))
     refined = refine(peaks, fits, axis, settings, strength, workers=workers)
     full, known = enlarge(refined, frames[0].shape)
-    full, known = fit_steps(frames, axis, settings, refined.depth, full, known)
     depth = np.where(known, full, np.float32(np.nan))
-    height = step_height(full)
-    height[height < 2 * settings.jump] = 0
-    # At a step a pixel may lie anywhere between both sides: the standard deviation of a uniform
-    # distribution. Measured are 0.2 to 0.3 of the height on drawn texture, 0.5 where the near side
-    # hides the far one, and 0.5 to 0.8 on photographs.
-    step = height / np.float32(np.sqrt(12))
-    error = cv2.magnitude(doubled(refined.error, full.shape), step)
+    error = doubled(refined.error, full.shape)
     here = slice(shape[0]), slice(shape[1])
     return _depth_map(depth[here], error[here], fits, axis)
 

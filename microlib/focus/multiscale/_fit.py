@@ -208,11 +208,11 @@ class PeakTracker:
         self._measures = np.zeros((kinds, count + 2 * reach, *shape), np.float32)
         self.top, self.best = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
 
-    def push(self, k: int, *measures: NDArray, allowed: NDArray[np.bool_] | None = None) -> None:
-        """Add the measures of frame k, which may be the best one where that is allowed."""
+    def push(self, k: int, *measures: NDArray) -> None:
+        """Add the measures of frame k."""
         for kind, value in enumerate(measures):
             self._measures[kind, k + self._reach] = value
-        value = measures[0] if allowed is None else np.where(allowed, measures[0], np.float32(0))
+        value = measures[0]
         number = np.multiply(value > self.top, np.uint16(k), dtype=np.uint16)
         cv2.max(value, self.top, self.top)
         cv2.max(self.best, number, self.best)

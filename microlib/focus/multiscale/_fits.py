@@ -141,7 +141,7 @@ def _track(
         down, right = (-n % 4 for n in frame.shape)
         if down or right:
             frame = cv2.copyMakeBorder(frame, 0, down, 0, right, cv2.BORDER_REPLICATE)
-        found = measure(frame, 2, settings, floor)
+        found = measure(frame, settings, floor)
         main.push(k, found.product, found.along, found.down)
         edge.push(k, found.edge)
         energy = found.coarse_along**2 + found.coarse_down**2

@@ -40,7 +40,7 @@ class NoiseFloor:
 
 @dataclass(frozen=True)
 class Measures:
-    """Focus measures of one frame, each of shape (rows, cols).
+    """Focus measures of one frame, each of half its rows and columns.
 
     Attributes
     ----------
@@ -48,10 +48,10 @@ class Measures:
         Fine times coarse modified Laplacian: narrow where the fine one has its peak, and free of
         the noise that only one of both has.
     along, down : ndarray
-        Fine second derivatives along rows and down columns; at half size with their window.
+        Fine second derivatives along rows and down columns.
     edge : ndarray
         Deviation from a local mean, which places a step more sharply.
-    coarse_along, coarse_down : ndarray, shape of the frame at half its size
+    coarse_along, coarse_down : ndarray
         Coarse second derivatives along rows and down columns.
     """
 
@@ -63,33 +63,20 @@ class Measures:
     coarse_down: NDArray[np.float32]
 
 
-def measure(frame: Image, scale: int, settings: Settings, floor: NoiseFloor) -> Measures:
-    """Return the focus measures of a frame at full size (scale 1) or at half size (scale 2).
-
-    Where half size averages blocks of 2×2 px, full size smooths by 0.5 px.
-    """
+def measure(frame: Image, settings: Settings, floor: NoiseFloor) -> Measures:
+    """Return the focus measures of a frame at every second pixel."""
     half = halved(frame.astype(np.float32, copy=False))
-    along, down = abs_second_derivatives(frame, settings.fine)
+    seconds = abs_second_derivatives(frame, settings.fine)
+    along, down = (blur(halved(second), settings.fine_window) for second in seconds)
     coarse_along, coarse_down = abs_second_derivatives(half, settings.coarse)
     coarse = blur(coarse_along + coarse_down, settings.coarse_window)
-    if scale == 2:
-        along, down = (blur(halved(second), settings.fine_window) for second in (along, down))
-        product = along + down
-        detail = cv2.absdiff(half, blur(half, settings.edge_mean))
-        narrow, wide, edge_floor = detail, blur(detail, 1.0), np.float32(floor.edge)
-    else:
-        product = blur(along + down, settings.full_window)
-        coarse = doubled(coarse, frame.shape)
-        detail = cv2.absdiff(frame, blur(frame, 2 * settings.edge_mean))
-        # The noise has not been halved by averaging.
-        narrow, wide, edge_floor = blur(detail, 0.5), blur(detail, 2.0), np.float32(2 * floor.edge)
-    product += np.float32(floor.fine)
-    product *= coarse + np.float32(floor.coarse)
+    detail = cv2.absdiff(half, blur(half, settings.edge_mean))
+    edge_floor = np.float32(floor.edge)
     return Measures(
-        product=product,
+        product=(along + down + np.float32(floor.fine)) * (coarse + np.float32(floor.coarse)),
         along=along,
         down=down,
-        edge=np.multiply(narrow + edge_floor, wide + edge_floor, dtype=np.float32),
+        edge=(detail + edge_floor) * (blur(detail, 1.0) + edge_floor),
         coarse_along=coarse_along,
         coarse_down=coarse_down,
     )
@@ -121,8 +108,3 @@ def doubled(half: NDArray, shape: tuple[int, ...], how: int = cv2.INTER_LINEAR) 
     """Return an image of `shape` from one of half its sides, by default interpolated linearly."""
     full = cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=how)
     return np.asarray(full)[: shape[0], : shape[1]]
-
-
-def doubled_mask(half: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return a mask of `shape` from one of half its sides."""
-    return doubled(half.astype(np.uint8), shape, cv2.INTER_NEAREST) > 0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from microlib.focus._correction import smooth_planes
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
-from microlib.focus.multiscale._measure import doubled, doubled_mask
+from microlib.focus.multiscale._measure import doubled
 from microlib.focus.multiscale._reject import Peaks, fill_nearest, relative
 from microlib.focus.multiscale._relief import (
     direction_offsets,
@@ -92,4 +92,4 @@ def enlarge(refined: Refined, shape: tuple[int, ...]) -> tuple[NDArray, NDArray[
     known = np.isfinite(refined.depth)
     relief = np.where(known, refined.relief, np.float32(0))
     full = doubled(fill_nearest(refined.depth), shape) + doubled(relief, shape, cv2.INTER_CUBIC)
-    return full, doubled_mask(known, shape)
+    return full, doubled(known.astype(np.uint8), shape, cv2.INTER_NEAREST) > 0

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus._filters import TINY, blur
+from microlib.focus._filters import blur, ratio
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._measure import NoiseFloor, doubled
@@ -233,7 +233,7 @@ def halo_mask(peaks: Peaks, settings: Settings) -> NDArray[np.bool_]:
     weight = np.where(np.isfinite(peaks.depth), peaks.weight, np.float32(0))
     radius = settings.halo_radius
     around = blur(weight, radius)
-    far = np.abs(depth - blur(depth * weight, radius) / np.maximum(around, TINY)) > 2
+    far = np.abs(depth - ratio(blur(depth * weight, radius), around)) > 2
     halo, level = np.zeros(depth.shape, bool), np.rint(depth)
     for k in np.unique(level[far]):
         near = (np.abs(depth - k) <= 1).astype(np.float32)

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus._filters import TINY, blur
+from microlib.focus._filters import blur, ratio
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._fits import Fits
-from microlib.focus.multiscale._reject import fill_nearest
+from microlib.focus.multiscale._reject import fill_nearest, typical
 from microlib.focus.multiscale._settings import Settings
 
 #: For each octave of relief: radius of the next coarser mean, px; correlation of the directions,
@@ -38,8 +38,8 @@ def direction_offsets(
         offsets.append(np.where(good, np.clip(own - level, -limit, limit), np.float32(0)))
         strengths.append(np.where(good, strength, np.float32(0)))
     weight = np.sqrt(np.sqrt(strengths[0] * strengths[1]))
-    weight /= np.maximum(np.median(weight), TINY)
-    weight = np.where(weight > 0, np.clip(weight, 0.01, 100), np.float32(0))
+    weight = np.where(weight > 0, np.clip(weight / typical(weight), 0.01, 100), 0)
+    weight = weight.astype(np.float32)
     return offsets[0], offsets[1], weight
 
 
@@ -67,18 +67,18 @@ def find_relief(
     """
     finer, relief = (along, down), np.zeros((2, *along.shape), np.float32)
     for sigma, noise_correlation, noise_scatter in _OCTAVES:
-        total = np.maximum(blur(weight, sigma), TINY)
-        coarser = (blur(along * weight, sigma) / total, blur(down * weight, sigma) / total)
+        total = blur(weight, sigma)
+        coarser = tuple(ratio(blur(part * weight, sigma), total) for part in (along, down))
         a, b = finer[0] - coarser[0], finer[1] - coarser[1]
         var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
         cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
         # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
         deviations = np.sqrt(var_a * var_b)
         scatter = noise_scatter * np.maximum(deviations, np.sqrt(fourth))
-        snr = (cov - noise_correlation * deviations) / np.maximum(scatter, TINY)
+        snr = ratio(cov - noise_correlation * deviations, scatter)
         significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
         var_mean = (var_a + var_b + 2 * cov) / 4
-        gain = np.clip(cov / np.maximum(var_mean, TINY), 0, 1) * np.clip(significant, 0, 1)
+        gain = np.clip(ratio(cov, var_mean), 0, 1) * np.clip(significant, 0, 1)
         relief += gain * np.stack([a, b])
         finer = coarser
     return relief.mean(axis=0) * _mtf_gain(relief, settings), (finer[0] - finer[1]) / 2
@@ -92,9 +92,8 @@ def _mtf_gain(relief: NDArray, settings: Settings) -> NDArray[np.float32]:
     """
     power = blur(relief[0] * relief[1], 4.0)
     slope = blur(sum(part[0] * part[1] for part in np.gradient(relief, axis=(1, 2))), 4.0)
-    exponent = settings.mtf_correction * slope / np.maximum(power, 1e-6)
-    gain = np.exp(np.clip(exponent, 0, np.log(3)))
-    return np.where(power > 1e-6, gain, 1).astype(np.float32)
+    exponent = settings.mtf_correction * ratio(slope, power)
+    return np.exp(np.clip(exponent, 0, np.log(3)), dtype=np.float32)
 
 
 def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
@@ -166,6 +165,10 @@ def error_variance(
     # 0.2, on photographs 1.0 at 1.2.
     local = blur(np.minimum(disagreement, 6), 2.0)
     variance += np.where(beside < high, 0.17 * beside, np.minimum(local, local * local)) ** 2
+    # At a high step a pixel may lie anywhere between both sides: the standard deviation of a
+    # uniform distribution. Measured are 0.2 to 0.3 of the height on drawn texture, 0.5 where the
+    # near side hides the far one, and 0.5 to 0.8 on photographs.
+    variance += np.where(height >= high, height, 0) ** 2 / 12
     # At a sharp bend, such as the tip of a cone.
     bent = (full - blur(full, settings.radius)) ** 2
     bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= high] = 0

@@ -19,13 +19,12 @@ class Settings:
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
     #: flat from 2.8 to 4.5 with 4 and 20 times the frames. With infinity no frames are averaged.
     width: float = 3.7
-    #: Smoothing of the second derivatives at full size and at half, px of each grid, and windows
-    #: of the fine measure at half size and at full size, and of the coarse one: the fine scale
-    #: locates the peak on a slope, the coarse one stabilizes it on weak texture.
+    #: Smoothing of the second derivatives of the frame and of the frame at half size, px of each,
+    #: and windows of the fine and of the coarse measure: the fine scale locates the peak on a
+    #: slope, the coarse one stabilizes it on weak texture.
     fine: float = 0.8
     coarse: float = 1.0
     fine_window: float = 0.6
-    full_window: float = 0.8
     coarse_window: float = 1.15
     #: Radius of the mean from which the edge measure takes a pixel's deviation.
     edge_mean: float = 2.0
