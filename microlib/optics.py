@@ -13,6 +13,7 @@ from microlib._common import Array, as_array, as_image, positive, scalar, whole
 from microlib._common._opencv import cv2
 
 __all__ = [
+    "BlurLadder",
     "blur_radius",
     "defocus",
     "gaussian_kernel",
@@ -212,10 +213,9 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 class BlurLadder:
-    """An image blurred at a ladder of levels, from which any map of blur is read off.
+    """An image blurred at several levels, from which any map of blur is interpolated.
 
-    Worth keeping when one image is defocused many times, as in a focal stack; `defocus` does it
-    once.
+    It is faster than `defocus` if one image is defocused many times, as in a focal stack.
 
     Parameters
     ----------

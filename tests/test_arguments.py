@@ -28,8 +28,8 @@ QUICK = [name for name in NAMES if name not in fuzz.SLOW]
 SIGNED = {"x", "distortion", "alpha", "beta", "gamma", "tilt", "tx", "ty", "u", "mean"}
 MAY_BE_ZERO = SIGNED | {
     "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "increment", "jitter",
-    "k", "k_zero", "latency", "noise", "poisson_ratio", "pressure", "pretension", "rim_inset",
-    "rng", "roughness", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
+    "k", "k_zero", "largest", "latency", "noise", "poisson_ratio", "pressure", "pretension",
+    "rim_inset", "rng", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
 }  # fmt: skip
 #: Further numbers that are out of the range of an argument, in every function.
 OUT_OF_RANGE: dict[str, float] = {
@@ -54,6 +54,7 @@ ANY_SHAPE = (
     "microscope.distort.points", "microscope.undistort.points", "*.pixel_size", "*.pixel_pitch",
     "servoing.StageModel.rounded.position", "servoing.point_jacobian.depth",
     "synthetic.mixed_texture.scales", "curvature.hk_labels.?_zero", "optics.defocus.sigma",
+    "optics.BlurLadder.at.sigma",
 )  # fmt: skip
 #: Where NaN is an unknown pixel, a lost feature or an uncertainty that is not known.
 MAY_BE_NAN = (
@@ -128,6 +129,7 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "microscope.Microscope.jacobian.parameters": (("alpha", "lens"),),
     "microscope.Microscope.pixel_pitch": ((9.9, 0.0), (9.9, 9.9, 9.9)),
     "optics.blur_radius.sensor_distance": (90.0,),
+    "optics.BlurLadder.at.sigma": (np.zeros((4, 5)), 4.1),
     "optics.defocus.sigma": (np.zeros((4, 5)),),
     "optics.gaussian_kernel.sigma": (0.0,),
     "optics.gaussian_kernel.size": (6,),
@@ -146,8 +148,8 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "synthetic.Embryo.rim_radius": (20.0,),
     "synthetic.Embryo.pressed.force": (0.0, 1e-9),
     "synthetic._gripper.GripperScene.frame.shift": ((90, 0),),
-    "synthetic.embryo_image.blur": (0.2,),
     "synthetic.embryo_image.shape": ((10, 10),),
+    "synthetic.embryo_image.blur": (0.2,),
     "synthetic.focal_stack.blur_rate": (1e3,),
     "synthetic.focal_stack.height": (np.eye(5),),
     "synthetic.gripper_scene.gap": (130.0,),

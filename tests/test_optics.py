@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microlib import optics
-from tests.laws import NUMBER, VIEWS, Row, follows_view, grey, laws_of, um
+from tests.laws import NUMBER, VIEWS, Row, follows_view, grey, laws_of, px, um
 
 #: µm: an objective near the thesis' (f = 31.4 mm, M = 6.4).
 LENS = {"focal_length": 31415.0, "sensor_distance": 232000.0, "aperture_radius": 4000.0}
@@ -23,6 +23,10 @@ def lens(u) -> dict:
 DISTANCES = np.array([33000.0, 36000.0, 41000.0])
 FLOAT32 = {"within": 1e-6}  # images are filtered in single precision
 LAWS = {
+    "optics.BlurLadder": Row(lambda u: {"image": IMAGE, "largest": 4.0 * u.px}, {"largest": px}),
+    "optics.BlurLadder.at": Row(lambda u: {
+        "self": optics.BlurLadder(u.grey0 + IMAGE * u.grey, 4.0), "sigma": BLUR},
+        grey.counted_from("grey0"), **FLOAT32),
     "optics.blur_radius": Row(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, um,
         within=1e-8),
     "optics.defocus": Row(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},

@@ -85,9 +85,9 @@ def render_ball(seed: int) -> Scene:
     """Render a rough ball on paper, which a lens blurs by the distance."""
     rng = np.random.default_rng(seed)
     texture = mixed_texture(BALL_SHAPE, rng)
-    height = sphere_on_plane(
-        BALL_SHAPE, BALL_RADIUS, BALL_PIXEL, roughness=BALL_ROUGHNESS, grain=BALL_GRAIN, rng=rng
-    )
+    smooth = sphere_on_plane(BALL_SHAPE, BALL_RADIUS, BALL_PIXEL)
+    relief = ndimage.gaussian_filter(rng.standard_normal(BALL_SHAPE), BALL_GRAIN)
+    height = smooth + np.where(smooth > 0, BALL_ROUGHNESS * relief / relief.std(), 0.0)
     positions = np.arange(-1, 18) * thesis.BALL_STEP
     frames = focal_stack(
         texture, height, positions, blur_rate=1 / thesis.BALL_STEP, noise=BALL_NOISE, rng=rng

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, as_array, image_shape, scalar, whole
+from microlib._common import Array, as_array, image_shape, scalar
 from microlib.microscope import Microscope
 from microlib.synthetic._textures import noise_source
 
@@ -212,8 +212,7 @@ def _nearest(lattice: Array, counts: Counts) -> Array:
     index = np.round(lattice)
     if counts is None:
         return index
-    most = np.array([whole("counts", n, least=1) for n in counts]) - 1
-    return np.clip(index, 0, most)
+    return np.clip(index, 0, np.array(counts) - 1)
 
 
 def _half_plane(inside: Array, normal: Array, jacobian: Array) -> Array:

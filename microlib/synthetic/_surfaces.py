@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from microlib._common import Array, image_shape, scalar
-from microlib.synthetic._textures import noise_source
 
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -83,15 +81,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
     return scalar("height", height, above=0) * (1 - square / square.max())
 
 
-def sphere_on_plane(
-    shape: tuple[int, int],
-    radius: float,
-    pixel_size: float,
-    *,
-    roughness: float = 0.0,
-    grain: float = 5.0,
-    rng: np.random.Generator | int | None = None,
-) -> Array:
+def sphere_on_plane(shape: tuple[int, int], radius: float, pixel_size: float) -> Array:
     """Return the visible height of a ball on a plane, such as a solder ball, from above.
 
     Parameters
@@ -102,12 +92,6 @@ def sphere_on_plane(
         Radius of the ball, µm; its top is at twice the radius.
     pixel_size : float
         Distance between pixels on the object, µm.
-    roughness : float
-        Root mean square height of the relief on the ball, µm.
-    grain : float
-        Size of the relief's grains, the standard deviation of the Gaussian that smooths it, px.
-    rng : numpy.random.Generator or int, optional
-        Random generator of the relief, or its seed; required if `roughness` is not zero.
 
     Returns
     -------
@@ -118,7 +102,7 @@ def sphere_on_plane(
     Raises
     ------
     ValueError
-        If a length is not positive, or there is relief but no `rng`.
+        If a side is below 2 px or a length not positive.
 
     Examples
     --------
@@ -129,15 +113,7 @@ def sphere_on_plane(
     x, y = _centered(shape)
     r = scalar("radius", radius, above=0)
     square = (x**2 + y**2) * scalar("pixel_size", pixel_size, above=0) ** 2
-    ball = square <= r**2
-    height = np.where(ball, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
-    rough = scalar("roughness", roughness, least=0)
-    smooth = scalar("grain", grain, above=0)
-    source = noise_source(rng, rough)
-    if rough > 0:
-        relief = gaussian_filter(source.standard_normal(shape), smooth)
-        height += np.where(ball, rough * relief / relief.std(), 0.0)
-    return height
+    return np.where(square <= r**2, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
 
 
 def cone(shape: tuple[int, int], height: float, radius: float) -> Array:

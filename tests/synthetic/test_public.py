@@ -70,6 +70,22 @@ def pattern(u) -> dict:
     return {"microscope": scope(u), "counts": (3, 2), "imaging": imaging(u), "rng": 3}
 
 
+def place(u) -> dict:
+    return {"pixel_size": 9.0 * u.um, "shape": (150, 170), "center": (85.3, 12.2), "tilt": 0.1}
+
+
+def tilted(u) -> synthetic.EmbryoImage:
+    return synthetic.embryo_image(embryo(u), rng=2, **place(u))
+
+
+def jaws(u) -> dict:
+    return {"pixel_size": 6.1 * u.um, "gap": 90.0 * u.um, "shape": (60, 80), "reach": 5}
+
+
+def gripper(u) -> synthetic.GripperScene:
+    return synthetic.gripper_scene(0, **jaws(u))
+
+
 EMBRYO = {
     "modulus": MPa,
     "force": uN,
@@ -90,19 +106,23 @@ LAWS = {
     "synthetic.Embryo.dented": Row(lambda u: {"depth": 90.0 * u.um, **pressed(u)}, EMBRYO),
     "synthetic.Embryo.outline": Row(lambda u: {"self": embryo(u), "spacing": 7.0 * u.um}, um,
         within=1e-7),
+    "synthetic.EmbryoImage.to_pixels": Row(lambda u: {"self": tilted(u),
+        "points": np.array([[120.0, -40.0], [-300.0, 15.0]]) * u.um}, NUMBER),
+    "synthetic.GripperScene.box": Row(lambda u: {"self": gripper(u), "size": 20,
+        "shift": (2.2, -1.4)}, NUMBER),
+    "synthetic.GripperScene.frame": Row(lambda u: {"self": gripper(u), "shift": (2.2, -1.4),
+        "rng": 4, "noise": 1.5, "gain": 0.9}, NUMBER, **ROUNDED),
     "synthetic.ImagingConditions": Row(lambda u: vars(imaging(u)),
         {**dict.fromkeys(("blur", "vignetting", "gradient"), NUMBER),
         **dict.fromkeys(("dark", "bright", "noise"), grey)}, **EIGHT_BITS),
     "synthetic.cone": Row(lambda u: {"shape": SHAPE, "height": 9.0 * u.um, "radius": 8.0}, um),
-    "synthetic.embryo_image": Row(lambda u: {"embryo": embryo(u), "rng": 2,
-        "pixel_size": 9.0 * u.um, "shape": (150, 170), "center": (85.3, 12.2), "tilt": 0.1},
+    "synthetic.embryo_image": Row(lambda u: {"embryo": embryo(u), "rng": 2, **place(u)},
         {**dict.fromkeys(("image", "center", "tilt"), NUMBER), "embryo": EMBRYO, "pixel_size": um},
         **ROUNDED),
     "synthetic.focal_stack": Row(lambda u: {"texture": TEXTURE, "height": u.z0 + RELIEF * u.um,
         "positions": u.z0 + FOCI * u.um, "blur_rate": 0.2 / u.um, "noise": 1.0, "rng": 1}, NUMBER,
         **ROUNDED),
-    "synthetic.gripper_scene": Row(lambda u: {"rng": 0, "pixel_size": 6.1 * u.um,
-        "gap": 90.0 * u.um, "shape": (60, 80), "reach": 5},
+    "synthetic.gripper_scene": Row(lambda u: {"rng": 0, **jaws(u)},
         dict.fromkeys(("shape", "home", "opening", "drawing", "cover", "ground"), NUMBER),
         **SINGLE),
     "synthetic.mixed_texture": Row(lambda u: {"shape": SHAPE, "rng": 0, "mean": u.grey0,
@@ -116,7 +136,7 @@ LAWS = {
         **SINGLE, **EIGHT_BITS),
     "synthetic.sphere_on_plane": Row(lambda u: {"shape": SHAPE, "radius": 30.0 * u.um,
         # a root near zero at the edge of the ball
-        "pixel_size": 4.0 * u.um, "roughness": 1.5 * u.um, "rng": 0}, um, within=1e-6),
+        "pixel_size": 4.0 * u.um}, um, within=1e-6),
 }  # fmt: skip
 
 

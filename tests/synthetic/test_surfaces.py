@@ -43,16 +43,6 @@ def test_surfaces_have_the_expected_curvature():
     assert ball[0, 0] == 0
 
 
-def test_roughness_is_on_the_ball_only():
-    smooth = synthetic.sphere_on_plane((80, 80), 30.0, 1.0)
-    rough = synthetic.sphere_on_plane(
-        (80, 80), 30.0, 1.0, roughness=2.0, rng=np.random.default_rng(0)
-    )
-    ball = smooth > 0
-    assert (rough - smooth)[ball].std() == pytest.approx(2, rel=0.3)  # some 100 grains
-    assert np.ptp((rough - smooth)[~ball]) == 0
-
-
 def test_blur_grows_with_the_distance_from_focus():
     rng = np.random.default_rng(0)
     texture = synthetic.mixed_texture(SHAPE, rng)
