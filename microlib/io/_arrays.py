@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from os import PathLike
 from pathlib import Path
-from string import digits
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import home_path, reject_masks
-from microlib.io._metadata import label_scale, zarr_scale
+from microlib.io._metadata import label_scale
 from microlib.io._pictures import read_picture
-from microlib.io._stack import (
-    Choice,
-    LazyFrames,
-    Stack,
-    check_axis_of_frames,
-    open_stack,
-    select_frames,
-)
+from microlib.io._stack import LazyFrames, Stack, check_axis_of_frames, open_stack
 
-#: Letters of the axes that can be chosen by number, by the names of labeled arrays' dimensions.
+#: Letters of the axes of frames, by the names of labeled arrays' dimensions.
 _LETTERS = {"c": "C", "channel": "C", "t": "T", "time": "T", "z": "Z"}
 
 
@@ -37,54 +29,30 @@ def open_array(frames: Any, files: tuple[Path, ...] = ()) -> Stack:
         need = "frames must have shape (any, any, any), or (any, any, any, 3) in color"
         raise ValueError(f"{need}, got {shape}")
     check_axis_of_frames(shape)
-    return open_stack(_at(frames, range(shape[0])), count=shape[0], files=files)
+    return open_stack(
+        lambda: (np.asarray(frames[k]) for k in range(shape[0])), count=shape[0], files=files
+    )
 
 
-def _at(frames: Any, indices: Sequence[Any]) -> Callable[[], Iterator[NDArray]]:
-    return lambda: (np.asarray(frames[index]) for index in indices)
+def open_labeled(frames: Any) -> Stack:
+    """Return an xarray.DataArray's frames; three dimensions may be in any order if two are x, y."""
+    names = {str(dim).lower(): dim for dim in frames.dims}
+    if len(names) == 3 and {"y", "x"} < names.keys():
+        frames = frames.transpose(..., names["y"], names["x"])
+    stack = open_array(frames)
+    axis = _LETTERS.get(str(frames.dims[0]).lower(), "")
+    return replace(stack, axis=axis, **label_scale(frames))
 
 
-def open_labeled(frames: Any, choice: Choice) -> Stack:
-    """Return an xarray.DataArray's frames; dimensions may be in any order if two are x and y."""
-    names = [str(dim).lower() for dim in frames.dims]
-    if len(names) < 3:
-        raise ValueError(f"frames must have three dimensions or more, got {', '.join(names)}")
-    color = len(names) > 3 and frames.shape[-1] in (3, 4) and names[-1] not in (*"xyzt", "time")
-    if {"y", "x"} <= set(names) and not color and names[-2:] != ["y", "x"]:
-        frames = frames.transpose(..., *(frames.dims[names.index(name)] for name in "yx"))
-    *leading, y, x = frames.dims[: len(names) - color]
-    # An axis of another name has its number as its letter.
-    letters = "".join(_LETTERS.get(str(dim).lower(), str(k)) for k, dim in enumerate(leading))
-    indices, axis = select_frames(letters, frames.shape[: len(leading)], choice)
-    dims = leading[letters.index(axis) if axis else 0], y, x
-    scale = label_scale(frames, dims)
-    return open_stack(_at(frames, indices), count=len(indices), axis=axis.strip(digits), **scale)
-
-
-def open_zarr(path: Path, choice: Choice) -> Stack:
-    """Return the frames of a zarr array, or of an image of OME-Zarr 0.4 or 0.5 at full size."""
+def open_zarr(path: Path) -> Stack:
+    """Return the frames of a zarr array."""
     import zarr  # optional, and slow to import
 
-    opened: Any = zarr.open(str(path), mode="r")
-    if isinstance(opened, zarr.Array):
-        return open_array(opened, (path,))
-    series = sorted((name for name, _ in opened.groups() if name.isdigit()), key=int)
-    if series:  # a group for each image
-        if len(series) > 1 and "series" not in choice:
-            raise ValueError(f"it holds {len(series)} series of images: choose one")
-        opened = opened[series[choice.pop("series", 0)]]
-    about: Any = opened.attrs.get("ome", opened.attrs)
-    image = about.get("multiscales", [{}])[0]
-    axes = [axis["name"] if isinstance(axis, dict) else "" for axis in image.get("axes", [])]
-    if [name.upper() for name in axes[-2:]] != ["Y", "X"]:
-        raise ValueError(
-            "it must hold an array, or OME-Zarr 0.4 or 0.5 whose last axes are y and x"
-        )
-    frames = opened[image["datasets"][0]["path"]]
-    letters = "".join(axes).upper()
-    indices, axis = select_frames(letters[:-2], frames.shape[:-2], choice)
-    scale = zarr_scale(image, axis, len(indices), path.name)
-    return open_stack(_at(frames, indices), count=len(indices), axis=axis, files=(path,), **scale)
+    opened = zarr.open(str(path), mode="r")
+    if not isinstance(opened, zarr.Array):
+        arrays = ", ".join(sorted(opened.array_keys()))
+        raise ValueError(f"it must be an array, got a group of arrays {arrays}: give one of them")
+    return open_array(opened, (path,))
 
 
 def open_items(items: Iterable[Any]) -> Stack:

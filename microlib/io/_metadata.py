@@ -1,4 +1,4 @@
-"""Pixel sizes and positions from the metadata of TIFF, OME-Zarr and labeled arrays, in µm."""
+"""Pixel sizes and positions from the metadata of TIFF and labeled arrays, in µm."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ def _even_positions(step: float, count: int) -> Array | None:
     return step * np.arange(count, dtype=float) if step and np.isfinite(step) else None
 
 
-def label_scale(frames: Any, dims: tuple[Any, ...]) -> dict[str, Any]:
+def label_scale(frames: Any) -> dict[str, Any]:
     """Return positions, pixel size and corner of a stack from a DataArray's coordinates."""
-    z, y, x = (_coordinate(frames, dim) for dim in dims)
+    z, y, x = (_coordinate(frames, dim) for dim in frames.dims[:3])
     if x is None or y is None or min(len(x), len(y)) < 2:
         return {"positions": z}
     even = all(np.allclose(np.diff(c), c[1] - c[0], rtol=1e-3, atol=0.0) for c in (x, y))
@@ -113,19 +113,3 @@ def _coordinate(frames: Any, dim: Any) -> Array | None:
         return None
     factor = MICROMETERS.get("µm" if unit is None else str(unit))
     return None if factor is None else np.asarray(values, dtype=np.float64) * factor
-
-
-def zarr_scale(image: dict[str, Any], axis: str, count: int, name: str) -> dict[str, Any]:
-    """Return positions and pixel size of a stack from the metadata of an OME-Zarr image."""
-    changes = [
-        *image["datasets"][0].get("coordinateTransformations", []),
-        *image.get("coordinateTransformations", []),
-    ]
-    scales = np.prod([change["scale"] for change in changes if "scale" in change], axis=0)
-    steps = {
-        each["name"]: _micrometers(scale, each.get("unit"))
-        for each, scale in zip(image["axes"], scales, strict=True)
-    }
-    z = steps.get("z", np.nan) if axis == "Z" else np.nan
-    size = _square(steps["x"], steps["y"], name)
-    return {"positions": _even_positions(z, count), "pixel_size": size}

@@ -31,6 +31,7 @@ READERS: dict[str, Callable[[Path, Choice], Stack]] = {
     **dict.fromkeys(PICTURES, lambda path, choice: open_pictures([path])),
     **dict.fromkeys(FILMS, lambda path, choice: open_film(path)),
     **dict.fromkeys((*TIFF, ".btf", ".lsm", ".stk"), open_tiff),
+    "zarr": lambda path, choice: open_zarr(path),  # a folder of any name
     ".npy": lambda path, choice: open_array(np.load(path, mmap_mode="r"), (path,)),
 }
 
@@ -54,13 +55,13 @@ def read_frames(
 
         - an array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or an object of such a
           `shape` that loads a frame when it is indexed, for example a zarr array;
-        - an xarray.DataArray, whose dimensions may be in any order if two are named x and y, and
+        - an xarray.DataArray, whose three dimensions may be in any order if two are x and y, and
           whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
           (coordinates 0, 1, 2, … without a unit are numbers of pixels);
         - a folder or a pattern (``"scan/*.jpg"``) of images, in the order of the numbers in their
           names; EXIF orientation is applied unless it changes within the stack; a folder with one
           file is that file;
-        - a multi-page TIFF or OME-TIFF, OME-Zarr 0.4 or 0.5, a NumPy file or a video;
+        - a multi-page TIFF or OME-TIFF, a zarr array, a NumPy file or a video;
         - an iterable, such as a list or a generator, of images or of paths to image files;
         - a `Stack`, which this function returned.
 
@@ -73,8 +74,8 @@ def read_frames(
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
-        Index, from zero, of the channel, the time or the series to read. Needed for a TIFF, an
-        OME-Zarr or an xarray.DataArray that has more than one axis besides rows and columns.
+        Index, from zero, of the channel, the time or the series to read. Needed for a TIFF that has
+        more than one axis besides rows and columns.
 
     Returns
     -------
@@ -151,7 +152,7 @@ def _open(frames: Frames, choice: Choice) -> Stack:
     if isinstance(frames, (str, PathLike)):
         return _open_path(home_path(frames), choice)
     if hasattr(frames, "dims") and hasattr(frames, "coords"):  # xarray's
-        return open_labeled(frames, choice)
+        return open_labeled(frames)
     if hasattr(frames, "shape") and hasattr(frames, "__getitem__"):
         return open_array(frames)
     if isinstance(frames, Sequence) and all(isinstance(f, (str, PathLike)) for f in frames):
@@ -168,12 +169,12 @@ def _open_path(path: Path, choice: Choice) -> Stack:
         files = in_order(image_files(path))
         return open_pictures(files) if len(files) > 1 else _open_path(files[0], choice)
     check_exists(path)
-    reader = open_zarr if zarr else READERS.get(path.suffix.lower())
-    if reader is None:
+    suffix = "zarr" if zarr else path.suffix.lower()
+    if suffix not in READERS:
         kinds = ", ".join(sorted(READERS))
-        raise ValueError(f"{path} has an unknown suffix: microlib reads zarr and {kinds}")
+        raise ValueError(f"{path} has an unknown suffix: microlib reads {kinds}")
     with reading(f"frames cannot be read from {path}"):
-        return reader(path, choice)
+        return READERS[suffix](path, choice)
 
 
 def _kind(frame: NDArray) -> str:

@@ -7,7 +7,6 @@ import math
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +27,11 @@ from microlib.io._stack import (
 TIFF = frozenset({".tif", ".tiff"})
 #: Kinds of pixels: grey, red, green and blue (as JPEG stores them, too), colors of a palette.
 _PHOTOMETRIC = ("MINISWHITE", "MINISBLACK", "RGB", "YCBCR", "PALETTE")
-#: tifffile decodes these itself, and fails if they are damaged. A damaged page of LZW, PackBits or
-#: JPEG decodes to garbage in tifffile and imagecodecs, while libtiff, by Pillow, rejects it.
-_BY_TIFFFILE = ("NONE", "ADOBE_DEFLATE", "DEFLATE")
 
+#: A page as tifffile has it, or its grey levels where they are mapped from the file.
+_Page = tifffile.TiffPage | tifffile.TiffFrame | NDArray
+#: Opens a file by Pillow, once, so that it does not search each page from the first one.
 _Opener = Callable[[str], Image.Image]
-#: Reads one frame; Pillow's opener is shared so that it does not search each page from the first.
-_Reader = Callable[[_Opener], NDArray]
 
 
 def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
@@ -59,71 +56,69 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
     """
     wanted = dict(choice)
     with tifffile.TiffFile(path, is_ome=False if alone else None) as tiff:
-        readers, axis = _select_pages(tiff, choice)
-        size, positions = tiff_scale(tiff, path.name, len(readers), wanted)
-        if axis == "T":  # whose frames have one position
-            positions = None
+        _check_chain(tiff)
+        pages, axis = _select_pages(tiff, choice)
+        size, positions = tiff_scale(tiff, path.name, len(pages), wanted)
 
     def read() -> Iterator[NDArray]:
         with ExitStack() as opened:
-
-            @functools.cache
-            def opener(file: str) -> Image.Image:
-                return opened.enter_context(Image.open(file))
-
-            for k, reader in enumerate(readers):
+            pillow = functools.cache(lambda file: opened.enter_context(Image.open(file)))
+            for k, page in enumerate(pages):
                 with reading(f"page {k} of {path} cannot be read"):
-                    image = reader(opener)
+                    if isinstance(page, np.ndarray):
+                        image = np.array(page)
+                    else:
+                        image = _read_page(page, pillow)
                 yield image
 
     return open_stack(
         read,
         name=lambda k: f"page {k} of {path}",
-        count=len(readers),
+        count=len(pages),
         axis=axis,
-        positions=positions,
+        positions=None if axis == "T" else positions,  # frames along time have one position
         pixel_size=size,
         files=(path,),
     )
 
 
-def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Reader], str]:
-    """Return a reader of each frame, and the letter of the axis of frames."""
-    _check_chain(tiff)
-    every = "series" not in choice
-    if every:
-        series = [each for each in tiff.series if not each.keyframe.is_reduced]
+def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Page], str]:
+    """Return the page of each frame, and the letter of the axis of frames."""
+    if (number := choice.pop("series", None)) is None:
+        series = [each for each in tiff.series if not each.keyframe.is_reduced]  # no preview
+        if len(series) > 1 and all(each.axes in ("YX", "YXS") for each in series):
+            # The frames were written one by one.
+            return [page for each in series for page in each.pages if page is not None], ""
     else:
-        number = choice.pop("series")
         series = tiff.series[number : number + 1]
-    if not series or (len(series) > 1 and any(each.axes not in ("YX", "YXS") for each in series)):
+    if len(series) != 1:
         shapes = ", ".join(f"{each.axes} {tuple(each.shape)}" for each in tiff.series[:5])
         raise ValueError(f"it holds {len(tiff.series)} series of images ({shapes}): choose one")
-    readers: list[_Reader] = []
-    total, axis = 0, ""
-    for each in series:
-        leading = len(each.axes) - len(each.keyframe.axes)
-        if each.axes[leading:] != each.keyframe.axes:
-            raise ValueError(f"its axes {each.axes} must end in rows Y and columns X")
-        shape = each.shape[:leading]
-        indices, axis = select_frames(each.axes[:leading], shape, choice)
-        found = _page_readers(tiff, each)
-        numbers = np.arange(len(found)).reshape(shape)
-        readers += [found[numbers[index]] for index in indices]
-        total += len(found)
-    described = max(total, (tiff.imagej_metadata or {}).get("images", total))
-    held = total if described > total else max(total, _count_pages(tiff))
-    if described != held and every:
-        raise ValueError(f"its metadata describe {described} pages, it holds {held}")
+    axes, shape, keyframe = series[0].axes, series[0].shape, series[0].keyframe
+    leading = len(axes) - len(keyframe.axes)
+    if axes[leading:] != keyframe.axes:
+        raise ValueError(f"its axes {axes} must end in rows Y and columns X")
+    indices, axis = select_frames(axes[:leading], shape[:leading], choice)
     if tiff.is_shaped and axis == "Q":  # an array that was written as it was
-        page = series[0].keyframe
-        check_axis_of_frames((len(readers), page.imagelength, page.imagewidth))
-    return readers, axis
+        check_axis_of_frames((len(indices), keyframe.imagelength, keyframe.imagewidth))
+    pages = _all_pages(tiff, series[0])
+    numbers = np.arange(len(pages)).reshape(shape[:leading])
+    return [pages[numbers[index]] for index in indices], axis
 
 
-def _count_pages(tiff: tifffile.TiffFile) -> int:
-    """Return the number of pages, without reduced images for a preview."""
-    return sum(not page.aspage().is_reduced for page in tiff.pages)
+def _all_pages(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[_Page]:
+    """Return the pages of a series; reject one with fewer pages than its metadata describe."""
+    frame = series.keyframe.shape
+    count = math.prod(series.shape) // math.prod(frame)
+    pages: list[_Page] = [page for page in series.pages if page is not None]
+    if len(pages) == 1 < count and series.dataoffset is not None:
+        # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
+        return list(tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *frame))
+    described = max(count, (tiff.imagej_metadata or {}).get("images", 0))
+    if len(pages) < described:
+        others = " (the rest in files that must lie beside it)" if tiff.is_ome else ""
+        raise ValueError(f"its metadata describe {described} pages, it holds {len(pages)}{others}")
+    return pages
 
 
 def _check_chain(tiff: tifffile.TiffFile) -> None:
@@ -140,33 +135,21 @@ def _check_chain(tiff: tifffile.TiffFile) -> None:
         raise ValueError(f"it is damaged behind page {len(tiff.pages) - 1}")
 
 
-def _page_readers(tiff: tifffile.TiffFile, series: tifffile.TiffPageSeries) -> list[_Reader]:
-    frame = series.keyframe.shape
-    count = math.prod(series.shape) // math.prod(frame)
-    pages = [page for page in series.pages if page is not None]
-    if len(pages) == count:
-        return [partial(_read_page, page) for page in pages]
-    if series.dataoffset is None:
-        others = " (the rest in files that must lie beside it)" if tiff.is_ome else ""
-        raise ValueError(f"its metadata describe {count} pages, it holds {len(pages)}{others}")
-    # Beyond 4 GB, ImageJ describes only the first page; the others follow it without a gap.
-    stored = tifffile.memmap(tiff.filehandle.path, mode="r").reshape(count, *frame)
-    return [partial(_copy, values) for values in stored]
-
-
-def _copy(values: NDArray, _: _Opener) -> NDArray:
-    return np.array(values)
-
-
-def _read_page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -> NDArray:
-    """Return a page's values as grey or RGB."""
+def _read_page(entry: tifffile.TiffPage | tifffile.TiffFrame, pillow: _Opener) -> NDArray:
+    """Return a page's values as grey or RGB; reject one that is cut off or of other colors."""
     file = entry.parent.filehandle
     file.open()
     try:
         page = entry.aspage()
-        image = _decode(page, opener)
+        ends = np.add(page.dataoffsets, page.databytecounts)
+        if len(ends) == 0 or ends.max() > file.size:
+            raise ValueError("the file is cut off")  # tifffile would fill it up
+        kind = getattr(page.photometric, "name", page.photometric)
+        if kind not in _PHOTOMETRIC:
+            raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
+        image = _decode(page, pillow)
         # ImageJ stores the colors in which it shows grey levels as a palette.
-        if page.photometric == tifffile.PHOTOMETRIC.PALETTE and not page.parent.is_imagej:
+        if kind == "PALETTE" and not page.parent.is_imagej:
             image = (np.asarray(page.colormap).T[image] >> 8).astype(np.uint8)
     finally:
         file.close()
@@ -178,41 +161,20 @@ def _read_page(entry: tifffile.TiffPage | tifffile.TiffFrame, opener: _Opener) -
     return image * np.uint8(255) if image.dtype == bool else image
 
 
-def _decode(page: tifffile.TiffPage, opener: _Opener) -> NDArray:
-    """Return a page's values as stored; reject one that is damaged or of another color model."""
-    ends = np.add(page.dataoffsets, page.databytecounts)
-    if len(ends) == 0 or ends.max() > page.parent.filehandle.size:
-        raise ValueError("the file is cut off")  # tifffile would fill it up
-    kind = getattr(page.photometric, "name", page.photometric)
-    if kind not in _PHOTOMETRIC:
-        raise ValueError(f"it must have grey levels or red, green and blue, got {kind}")
-    codec = getattr(page.compression, "name", page.compression)
-    image = None
-    if codec == "JPEG":
-        _check_jpeg_end(page)
-    if codec not in _BY_TIFFFILE or page.bitspersample == 12:
-        image = _by_pillow(page, opener)
-    return page.asarray() if image is None else image
-
-
-def _by_pillow(page: tifffile.TiffPage, opener: _Opener) -> NDArray | None:
-    """Return a page as stored; None where Pillow does not know this kind of pixels."""
+def _decode(page: tifffile.TiffPage, pillow: _Opener) -> NDArray:
+    """Return a page's values as stored, by tifffile or else by Pillow's libtiff."""
     try:
-        opened = opener(page.parent.filehandle.path)
-        opened.seek(page.index)
-    except (OSError, EOFError, TypeError):
-        return None
-    image = np.asarray(opened)  # raises if the page is damaged
-    if image.shape != page.shape or image.dtype != page.dtype:
-        return None
+        return page.asarray()
+    except (ValueError, NotImplementedError) as error:  # which names the package that is missing
+        if "imagecodecs" not in str(error):
+            raise
+        try:
+            opened = pillow(page.parent.filehandle.path)
+            opened.seek(page.index)
+        except (OSError, EOFError, TypeError):
+            raise error from None
+        image = np.asarray(opened)
+        if image.shape != page.shape or image.dtype != page.dtype:
+            raise
     inverted = page.photometric == tifffile.PHOTOMETRIC.MINISWHITE and image.dtype.itemsize == 1
     return ~image if inverted else image
-
-
-def _check_jpeg_end(page: tifffile.TiffPage) -> None:
-    """Reject JPEG data without the marker of their end, which libtiff fills up."""
-    file, marker = page.parent.filehandle, b"\xff\xd9"
-    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
-        file.seek(offset + count // 2)
-        if marker not in file.read(count - count // 2):
-            raise ValueError("its JPEG data are cut off or damaged")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 import tifffile
 from numpy.typing import NDArray
 from PIL import Image
@@ -129,30 +128,6 @@ def set_of_ome(folder: Path, frames: NDArray) -> Path:
         own = re.sub(' UUID="[^"]*"', f' UUID="urn:uuid:{k:032}"', text)
         tiff(folder / f"scan_z{k}.ome.tif", frame, description=own.encode(), metadata=None)
     return folder
-
-
-def ome_zarr(path: Path, frames: NDArray, version: str, axes: str = "tczyx") -> Path:
-    """Write an image at two resolutions in the layout of OME-Zarr, without a package for it."""
-    zarr = pytest.importorskip("zarr")
-    group = zarr.open_group(str(path), mode="w", zarr_format=2 if version == "0.4" else 3)
-    units = {"x": "nanometer", "y": "micrometer", "z": "micrometer"}
-    kinds = {"t": "time", "c": "channel"}
-    about = [{"name": a, "type": kinds.get(a, "space"), "unit": units.get(a)} for a in axes]
-    steps = {"x": 650.0, "y": 0.65, "z": 2.5}
-    sizes = []
-    for k, level in enumerate((frames, frames[..., ::2, ::2])):
-        group.create_array(str(k), shape=level.shape, dtype=level.dtype)[:] = level
-        half = {"x": 2**k, "y": 2**k}
-        scale = [0.5 * steps.get(a, 1.0) * half.get(a, 1) for a in axes]
-        change = [{"type": "scale", "scale": scale}]
-        sizes.append({"path": str(k), "coordinateTransformations": change})
-    both = [{"type": "scale", "scale": [2.0] * len(axes)}]
-    image = {"axes": about, "datasets": sizes, "coordinateTransformations": both}
-    if version == "0.4":
-        group.attrs["multiscales"] = [image | {"version": version}]
-    else:
-        group.attrs["ome"] = {"version": version, "multiscales": [image]}
-    return path
 
 
 def read_ply(path: Path) -> dict[str, np.ndarray]:

@@ -53,7 +53,6 @@ SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
     "NumPy file": lambda to, frames: make.npy(to / "a.npy", frames),
     "zarr array": zarr_array,
     "zarr folder": lambda to, frames: zarr_array(to, frames) and to / "a.zarr",
-    "OME-Zarr": lambda to, frames: make.ome_zarr(to / "a", frames, "0.5", "zyx"),
     "list of files": files,
     "list of TIFF": lambda to, frames: [
         make.tiff(to / f"{k}.tif", frame, photometric="miniswhite", compression="zlib")
@@ -253,12 +252,6 @@ def test_frames_along_time_have_no_positions(stack, tmp_path, kind, about):
     assert (reader.pixel_size, reader.positions) == (2.0, None)
 
 
-def test_ome_zarr_frames_along_time_have_no_positions(stack, tmp_path):
-    reader = read_frames(make.ome_zarr(tmp_path / "a", stack[:, None], "0.5", "tzyx"))
-    assert reader.axis == "T"
-    assert reader.positions is None
-
-
 def test_series_selects_an_image_of_the_file(stack, tmp_path):
     path = tmp_path / "a.ome.tif"
     images = {2.0: stack, 5.0: stack[:4, :9]}
@@ -280,37 +273,12 @@ def test_channel_is_rejected_where_there_is_none(stack):
             read_frames(source, channel=0)
 
 
-@pytest.mark.parametrize("version", ["0.4", "0.5"])
-def test_ome_zarr_is_read_with_its_scale(stack, tmp_path, version):
-    many = np.stack([np.stack([stack, 255 - stack])] * 2)
-    many[1] //= 2
-    path = make.ome_zarr(tmp_path / "a", many, version)
-    with pytest.raises(ValueError, match=r"has the axes T=2, C=2, Z=12 .* choose a channel"):
-        read_frames(path)
-    reader = read_frames(path, channel=1, time=1)
-    assert (reader.axis, reader.count, reader.pixel_size) == ("Z", COUNT, pytest.approx(0.65))
-    assert reader.positions == pytest.approx(2.5 * np.arange(COUNT))
-    np.testing.assert_array_equal(np.stack(list(reader)), (255 - stack) // 2)
-    # Several images in one store, a group each (bioformats2raw's layout), here with axes zyx.
-    for k, frames in enumerate((stack, stack[:4])):
-        make.ome_zarr(tmp_path / "b.zarr" / str(k), frames, version, "zyx")
-    name, text = (".zgroup", '{"zarr_format": 2}')
-    if version == "0.5":
-        name, text = "zarr.json", '{"zarr_format": 3, "node_type": "group"}'
-    (tmp_path / "b.zarr" / name).write_text(text)
-    with pytest.raises(ValueError, match="holds 2 series of images: choose one"):
-        read_frames(tmp_path / "b.zarr")
-    assert_frames(tmp_path / "b.zarr", stack[:4], series=1)
-
-
-def test_zarr_groups_that_are_no_stack_are_rejected(stack, tmp_path):
-    """Frames along the last axis (a), version 0.3 (b), and a group that is no image (c)."""
-    make.ome_zarr(tmp_path / "a", np.moveaxis(stack, 0, -1), "0.4", "yxz")
-    make.ome_zarr(tmp_path / "b", stack, "0.4", "zyx")
+def test_group_of_zarr_is_rejected_and_its_array_is_read(stack, tmp_path):
+    """As in OME-Zarr, whose arrays are an image at several sizes."""
     zarr = pytest.importorskip("zarr")
-    old = zarr.open_group(str(tmp_path / "b"), mode="a")
-    old.attrs["multiscales"] = [{"axes": ["z", "y", "x"], "datasets": [{"path": "0"}]}]
-    zarr.open_group(str(tmp_path / "c"), mode="w").create_group("A")
-    for name in "abc":
-        with pytest.raises(ValueError, match=rf"{name}: it must hold an array, or OME-Zarr 0.4 or"):
-            read_frames(tmp_path / name)
+    group = zarr.open_group(str(tmp_path / "a"), mode="w")
+    for name in "01":
+        group.create_array(name, shape=stack.shape, dtype=stack.dtype)[:] = stack
+    with pytest.raises(ValueError, match="a: it must be an array, got a group of arrays 0, 1"):
+        read_frames(tmp_path / "a")
+    assert_frames(tmp_path / "a" / "0", stack)

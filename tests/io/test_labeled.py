@@ -63,16 +63,10 @@ def test_depth_has_the_coordinates_and_chunks_of_its_frames(stack, labeled, orde
     assert float(back["depth"].sel(x=380, y=150)) == pytest.approx(42.0, abs=1.0)
 
 
-def test_channel_and_time_select_labeled_frames(stack, labeled):
-    with pytest.raises(ValueError, match="three dimensions or more, got y, x"):
-        read_frames(labeled()[0])
-    many = labeled().expand_dims(channel=2, time=3) + np.arange(2)[:, None, None, None, None]
-    many = many.transpose("y", "z", "channel", "x", "time")
-    with pytest.raises(ValueError, match=r"has the axes Z=9, C=2, T=3 "):
-        read_frames(many)
-    reader = read_frames(many, channel=1, time=2)
-    assert reader.positions == pytest.approx(Z)
-    np.testing.assert_allclose(np.stack(list(reader)), stack + 1.0, rtol=1e-6)
+def test_labeled_frames_have_three_dimensions(labeled):
+    for wrong in (labeled()[0], labeled().expand_dims(channel=2)):
+        with pytest.raises(ValueError, match="frames must have shape"):
+            read_frames(wrong)
 
 
 def test_unusable_coordinates_give_no_scale(labeled):

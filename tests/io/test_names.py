@@ -26,18 +26,14 @@ def read(source: Path | str) -> list[int]:
 ORDERS = {
     "signs": [f"z{k:+d}" for k in range(-40, 50, 10)],
     "minus or no sign": [f"z{k}" for k in range(-4, 5)],
-    "uneven signs": ["z-40", "z-10", "z5", "z70"],
     "powers of ten": ["z1e-02", "z1e-01", "z1e+00", "z1e+01"],
     "up to zero": [f"z_{k}" for k in range(-40, 10, 10)],
     "signed decimals": [f"p{k:+.1f}um" for k in np.arange(-1.0, 1.25, 0.25).round(2)[::2]],
-    "decimals": [f"z_{k:g}" for k in np.arange(9) * 0.05],
-    "decimal commas": [f"z_{k:g}".replace(".", ",") for k in np.arange(9) * 0.05],
-    "quarters": [f"z{k:g}" for k in np.arange(9) * 0.25],
     "numbers after a hyphen": [f"scan-{k}" for k in range(1, 13)],
-    "sections": [f"s1.{k}" for k in range(1, 13)],
+    "decimals of one width": [f"z_{k:.2f}" for k in np.arange(9) * 0.05],
+    "decimal commas": [f"z_{k:.1f}".replace(".", ",") for k in np.arange(1, 10) * 0.5],
+    "a point before the number": [f"scan.{k}" for k in range(1, 13)],
     "dates": [f"2024-{m:02}-{d:02}" for m in (1, 2) for d in (5, 9, 27)][:5],
-    "a counter from 9999 to 0001": [f"DSC_{(9993 + k) % 9999 + 1:04d}" for k in range(9)],
-    "a counter from 999 to 000": [f"i{k % 1000:03d}" for k in range(995, 1004)],
     "the time beside the number": [f"f{k}_{12 + 7 * k}" for k in range(12)],
     "upper and lower case": ["IMG8", "img9", "IMG10", "Img11"],
     "copies of Windows": [f"scan ({k})" for k in range(1, 13)],
@@ -58,7 +54,7 @@ def test_frames_are_ordered_by_the_numbers_in_their_names(tmp_path, kind):
 def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
     """Forty random stacks, whose names have signs, decimals, leading zeros or none."""
     rng = np.random.default_rng(3)
-    forms = ("scan_{:05.0f}", "IMG{:.0f}", "2 µm, z{:.1f} µm", "a7_{:+.0f}")
+    forms = ("scan_{:05.0f}", "IMG{:.0f}", "2 µm, z{:05.1f} µm", "a7_{:+.0f}")
     for case in range(40):
         count, step = rng.integers(3, 14), rng.choice([1, 2, 5, 10, 25])
         # A hyphen before all numbers would not be a sign, so the last number is not negative.
@@ -73,28 +69,21 @@ def test_frames_are_ordered_for_any_first_number_step_and_form(tmp_path):
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        # Two orders are possible: versions or decimals, two axes, a counter that may start again.
-        (["v1.2", "v1.10", "v1.13", "v1.4"], r"v1\.2\.png, v1\.4.* or v1\.10\.png, v1\.13"),
+        # Versions or decimals; a hyphen that may be a minus sign.
+        (["v1.2", "v1.4", "v1.10", "v1.13"], r"one order.* v1\.2\.png, v1\.4.* or v1\.10\.png, v1"),
+        (["z0.05", "z0.1", "z0.15"], r"one order.* z0\.1\.png, z0\.05.* or z0\.05\.png, z0\.1"),
+        (["z0,05", "z0,1", "z0,15"], r"one order.* z0,1\.png, z0,05.* or z0,05\.png, z0,1"),
+        (["z_-3", "z_-4", "z_-5"], r"one order.* z_-3\.png, z_-4.* or z_-5\.png, z_-4"),
+        # Two axes.
         (
-            [f"c{c}_z{z}" for c in range(2) for z in range(4)],
-            r"c0_z0\.png, c0_z1.* or c0_z0\.png, c1_z0",
+            [f"c{c}_z{z}" for c in range(2) for z in range(9, 12)],
+            r"one axis, the names from c0_z9\.png to c1_z11\.png have 2",
         ),
-        ([f"{k:04}" for k in (1, 2, 7, 9990, 9994)], r"0001\.png, .* or 9990\.png, 9994"),
-        # The hyphen may be a minus sign; either of two numbers may give the order.
-        (["z_-3", "z_-4", "z_-5"], r"z_-3\.png, z_-4.* or z_-5\.png, z_-4"),
-        (["31_3", "44_1", "58_2", "97_0"], r"31_3\.png, 44_1\.png.* or 97_0\.png, 44_1"),
-        # Names that differ in more than numbers, or a number that occurs twice.
-        (["a1", "a2", "a3", "b1", "b2", "b3"], r"only in numbers, got a1\.png and b1"),
-        (["pcb_1", "pcb_2", "pcb_3", "expected"], r"got pcb_1\.png and expected"),
-        (["i1", "i2", "i3", "i1 (1)", "i2 (1)"], r"got i1 \(1\)\.png and i1\.png"),
-        (["zm20", "zm10", "z0", "zp10", "zp20"], r"got zm10\.png and z0"),
-        (["z500um", "z1mm", "z2mm"], r"got z1mm\.png and z500um"),
-        (["i1", "i01", "i2"], r"got i01\.png and i1\.png"),
     ],
 )
 def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names, words):
     write(tmp_path, names)
-    with pytest.raises(ValueError, match=f"frames must have (one order|names that).* {words}"):
+    with pytest.raises(ValueError, match=f"frames must .*{words}"):
         read_frames(tmp_path)
     assert read([tmp_path / f"{name}.png" for name in names]) == [*range(len(names))]
 
@@ -102,18 +91,26 @@ def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        (["far", "middle", "near"], "without a common number: frames in alphabetical order"),
-        ([f"f{k}" for k in (1, 2, 3, 5, 6, 7)], "no frame between f3.png and f5"),
-        (
-            [f"f{k}" for k in (0, 10, 20, 30, 90, 100)],
-            "f30.png and f90.png: if one is missing, all positions",
-        ),
+        # Names that differ in more than numbers.
+        (["far", "middle", "near"], r"read as far\.png, middle\.png, near\.png$"),
+        (["a1", "a2", "a10", "b1", "b2"], r"read as a1\.png, a2\.png, a10\.png, …, b2\.png$"),
+        (["expected", "pcb_1", "pcb_2", "pcb_3"], "read as expected"),
+        (["z1mm", "z2mm", "z500um"], "read as z1mm"),
+        # Numbers that are missing.
+        (["a1", "a2", "a4"], r"no frame between a2\.png and a4\.png: if one is missing"),
+        (["a1", "a3", "a4"], r"no frame between a1\.png and a3"),
+        ([f"f{k}" for k in (1, 2, 3, 5, 6, 7)], r"no frame between f3\.png and f5"),
+        ([f"f{k}" for k in (0, 10, 20, 30, 90, 100)], r"no frame between f30\.png and f90"),
+        (["z-40", "z-10", "z5", "z20"], r"no frame between z-40\.png and z-10"),
+        (["i01", "i1", "i2"], r"no frame between i1\.png and i2"),  # the number 1 is there twice
+        (["DSC_0001", "DSC_0002", "DSC_9998", "DSC_9999"], r"no frame between DSC_0002\.png and"),
     ],
 )
-def test_missing_numbers_give_a_warning(tmp_path, names, words):
+def test_names_of_another_series_or_with_gaps_give_one_warning(tmp_path, names, words):
     write(tmp_path, names)
-    with pytest.warns(UserWarning, match=words):
+    with pytest.warns(UserWarning, match=words) as caught:
         assert read(tmp_path) == [*range(len(names))]
+    assert len(caught) == 1
 
 
 def test_frame_in_two_formats_is_rejected(tmp_path):
