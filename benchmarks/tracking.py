@@ -176,13 +176,15 @@ def times() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def photographs(attempts: tuple = ATTEMPTS, names: tuple[str, ...] = HELD_OUT) -> pd.DataFrame:
+def photographs(
+    tracker_class: type[ESMTracker] = ESMTracker, names: tuple[str, ...] = HELD_OUT
+) -> pd.DataFrame:
     """Success, silent errors, stated uncertainty and time of each motion and condition."""
     rows = []
     for motion in ("homography", "translation"):
         for condition in CONDITIONS:
             done = [
-                tracked(make_pair(SEED + k, motion, condition, names), motion, attempts)
+                tracked(make_pair(SEED + k, motion, condition, names), motion, tracker_class)
                 for k in range(TRIALS)
             ]
             error, scores, lost, seconds = (np.array(each) for each in zip(*done, strict=True))
@@ -201,13 +203,14 @@ def photographs(attempts: tuple = ATTEMPTS, names: tuple[str, ...] = HELD_OUT) -
     return pd.DataFrame(rows)
 
 
-def tracked(pair: Pair, motion: str, attempts: tuple) -> tuple[float, Array, bool, float]:
+def tracked(
+    pair: Pair, motion: str, tracker_class: type[ESMTracker]
+) -> tuple[float, Array, bool, float]:
     """Return the largest corner error, the middle's error over its σ, if it is lost, and the time.
 
     A template that is not there is infinitely far off.
     """
-    tracker = ESMTracker(pair.first, pair.box, motion)
-    tracker._attempts = attempts
+    tracker = tracker_class(pair.first, pair.box, motion)
     start = thread_time()
     track = tracker.track(pair.second)
     seconds = thread_time() - start
@@ -220,8 +223,9 @@ def variants() -> pd.DataFrame:
     """Return what is found on development photographs without one of the attempts."""
     rows = []
     for left_out in (None, *ATTEMPTS):
-        attempts = tuple(attempt for attempt in ATTEMPTS if attempt is not left_out)
-        found = photographs(attempts, DEVELOPMENT)
+        remaining = tuple(attempt for attempt in ATTEMPTS if attempt is not left_out)
+        tracker_class = type("Variant", (ESMTracker,), {"_attempts": remaining})
+        found = photographs(tracker_class, DEVELOPMENT)
         present = found[~found["condition"].isin(ABSENT)]
         success = present.groupby("motion")["success (%)"].mean().round(1)
         rows.append(

@@ -16,19 +16,17 @@ from microlib.tracking._geometry import (
     GENERATORS,
     ROUNDING,
     TINY,
+    advance,
     apply_homography,
     cut_around,
-    degenerate,
-    retract,
     translate,
 )
 from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding
+from microlib.tracking._settings import TrackerSettings
 
-#: Least share of the template's pixels that must lie inside the image for it to be in view.
-MIN_VISIBLE = 0.25
-
-#: Normalized correlation below which an alignment is not the template.
-MIN_CORRELATION = 0.7
+#: Margin (px) of the part of a frame that is sampled at half pixels: three pixels of interpolation,
+#: and one by which the alignment may move.
+_MARGIN = 4.0
 
 
 def _nothing() -> Image:
@@ -43,11 +41,12 @@ class Alignment:
     ----------
     pose : ndarray, shape (3, 3)
         Warp of normalized template coordinates to px of the image.
-    failure : str
-        Empty, or why the minimization failed: ``"singular"``, ``"diverged"`` or ``"out of view"``;
-        the pose is then the last good one.
+    reason : str
+        Empty, or why the alignment does not count as the template: ``"singular"``, ``"diverged"``
+        or ``"out of view"`` if the minimization failed, and ``"low correlation"``. After a failure
+        the pose is the last one before it.
     correlation : float
-        Normalized correlation of template and warped image, weighted.
+        Normalized correlation of template and warped image, weighted; 0 after a failure.
     gain, bias : float
         Grey values of the image are ``gain``·template + ``bias``.
     visible : float
@@ -63,7 +62,7 @@ class Alignment:
     """
 
     pose: Array
-    failure: str = ""
+    reason: str = ""
     correlation: float = 0.0
     gain: float = 1.0
     bias: float = 0.0
@@ -74,12 +73,6 @@ class Alignment:
     residual: Image = field(default_factory=_nothing)
     weight: Image = field(default_factory=_nothing)
 
-    @property
-    def reason(self) -> str:
-        """Why the alignment does not count as the template; empty if it does."""
-        low = self.correlation < MIN_CORRELATION
-        return self.failure or ("low correlation" if low else "")
-
 
 @dataclass(frozen=True, eq=False)
 class Level:
@@ -87,6 +80,10 @@ class Level:
 
     Attributes
     ----------
+    settings : TrackerSettings
+        Settings of the alignment.
+    halvings : int
+        How often the frame is halved for this level.
     to_image : ndarray, shape (3, 3)
         Pixels of the frame to samples of this level's image.
     to_template : ndarray, shape (3, 3)
@@ -107,6 +104,8 @@ class Level:
         Standard deviation that white noise of unit variance has at this level.
     """
 
+    settings: TrackerSettings
+    halvings: int
     to_image: Array
     to_template: Array
     smoothing: float
@@ -124,10 +123,6 @@ class Level:
         """The grey values about their mean."""
         return (self.grey - np.float32(self.mean)).ravel()
 
-    def corners_of(self, pose: Array) -> Array:
-        """Return the template's corners at a pose, px of the image's samples."""
-        return apply_homography(self.to_image @ pose, self.corners)
-
     def patch(
         self, image: Image, pose: Array, saturation: float = np.inf
     ) -> tuple[Image, Image, Image]:
@@ -141,41 +136,34 @@ class Level:
             inside = inside & ((grey < saturation) | (self.grey >= saturation))
         return grey, gradient, inside.astype(np.float32)
 
-    def align(
-        self,
-        image: Image,
-        pose: Array,
-        *,
-        tolerance: float,
-        iterations: int = 8,
-        gain: float = 1.0,
-    ) -> Alignment:
+    def align(self, image: Image, pose: Array, *, tolerance: float, gain: float = 1.0) -> Alignment:
         """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
-        n = len(self.basis)
-        first = corners = apply_homography(pose, self.corners)
-        for count in range(1, iterations + 1):
+        n, settings, start = len(self.basis), self.settings, pose
+        for count in range(1, settings.max_iterations + 1):
             grey, gradient, weight = self.patch(image, pose)
-            failed = partial(Alignment, pose, visible=float(weight.mean()), iterations=count)
-            if failed.keywords["visible"] < MIN_VISIBLE:
-                return failed(failure="out of view")
+            visible = float(weight.mean())
+            failed = partial(Alignment, pose, visible=visible, iterations=count)
+            if visible < settings.min_visible:
+                return failed(reason="out of view")
             rows = self._rows(grey, gradient, weight, gain)
             normal = rows @ rows.T
             solution = _solved(normal)
             if not solution.size:
-                return failed(failure="singular")
-            after = retract(pose, -solution[:n], self.basis)
-            before, corners = corners, apply_homography(after, self.corners)
-            if degenerate(corners, first):
-                return failed(failure="diverged")
-            pose, gain = after, float(solution[n])
-            if np.abs(corners - before).max() < tolerance:
+                return failed(reason="singular")
+            pose, distance = advance(pose, -solution[:n], start, self.basis, self.corners)
+            if np.isnan(distance):
+                return failed(reason="diverged")
+            gain = float(solution[n])
+            if distance < tolerance:
                 break
+        correlation = _correlation(normal[n:, n:])
         return Alignment(
             pose=pose,
-            correlation=_correlation(normal[n:, n:]),
+            reason="" if correlation >= settings.min_correlation else "low correlation",
+            correlation=correlation,
             gain=gain,
             bias=float(solution[n + 1]) + self.mean * (1.0 - gain),
-            visible=failed.keywords["visible"],
+            visible=visible,
             iterations=count,
             design=rows[: n + 2],
             grey=grey,
@@ -209,17 +197,23 @@ class Template:
     smooth: Level
     sharp: Level
 
+    def corners_of(self, pose: Array) -> Array:
+        """Return the corners of the template at a pose, 4×2 px."""
+        return apply_homography(pose, self.sharp.corners)
+
     def align(self, image: Image, pose: Array) -> Alignment:
         """Align from a pose with the smoothed level, and then with the one of half pixels."""
-        first = self.smooth.align(image, pose, tolerance=0.5)
-        if first.reason:
-            return first
-        corners = apply_homography(first.pose, self.sharp.corners)
-        near, offset = cut_around(image, corners, 4.0)
-        start = translate(first.pose, -offset)
-        last = self.sharp.align(half_pixel(near), start, tolerance=0.05, gain=first.gain)
-        steps = first.iterations + last.iterations
-        return replace(last, pose=translate(last.pose, offset), iterations=steps)
+        settings = self.sharp.settings
+        rough = self.smooth.align(image, pose, tolerance=settings.rough_tolerance)
+        if rough.reason:
+            return rough
+        near, offset = cut_around(image, self.corners_of(rough.pose), _MARGIN)
+        start = translate(rough.pose, -offset)
+        fine = self.sharp.align(
+            half_pixel(near), start, tolerance=settings.tolerance, gain=rough.gain
+        )
+        steps = rough.iterations + fine.iterations
+        return replace(fine, pose=translate(fine.pose, offset), iterations=steps)
 
 
 def _solved(normal: Array) -> Array:
@@ -253,6 +247,7 @@ def make_level(
     density: int = 1,
     smoothing: float,
     motion: str,
+    settings: TrackerSettings,
 ) -> Level:
     """Cut a template from a frame at one resolution.
 
@@ -271,6 +266,8 @@ def make_level(
         Standard deviation of the Gaussian in px of the template.
     motion : str
         One of `GENERATORS`.
+    settings : TrackerSettings
+        Settings of the alignment.
     """
     x, y, width, height = box
     step = 2**halvings
@@ -290,6 +287,8 @@ def make_level(
     flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
     return Level(
+        settings=settings,
+        halvings=halvings,
         to_image=to_image,
         to_template=to_template,
         smoothing=smoothing,

@@ -74,10 +74,10 @@ def track_each(
     for number, frame in enumerate(frames):
         if tracker is None:
             as_image("frames", luminance("frames", frame))
-            tracker = ESMTracker(frame, box, motion, kalman=kalman)
-            tracker._kalman = None  # there is nothing to predict in the first frame
+            tracker = ESMTracker(frame, box, motion)
             track = tracker.track(frame)
-            tracker._kalman, start = kalman, track.center
+            start = track.center
+            tracker.kalman = kalman  # it has nothing to predict in the first frame
         else:
             track = tracker.track(frame)
         row = {"frame": number} | ({} if every is None else {"time_s": number * every})

@@ -47,6 +47,20 @@ def retract(warp: Array, step: Array, basis: Array) -> Array:
     return np.where(good, warp @ _exponential(np.where(good, matrix, 0.0)), np.nan)
 
 
+def advance(
+    pose: Array, step: Array, start: Array, basis: Array, corners: Array
+) -> tuple[Array, float]:
+    """Return the retraction of a pose by a step of a minimization, and how far its corners moved.
+
+    The distance is the largest change of a coordinate of the corners, px. It is NaN if the new pose
+    is degenerate beside the pose `start`, where the minimization began.
+    """
+    after = retract(pose, step, basis)
+    first, before, last = apply_homography(np.stack([start, pose, after]), corners)
+    distance = np.nan if degenerate(last, first) else float(np.abs(last - before).max())
+    return after, distance
+
+
 def _exponential(matrix: Array) -> Array:
     """Return the exponential of 3×3 matrices by scaling, a Taylor series and squaring.
 

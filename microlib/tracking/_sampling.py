@@ -23,11 +23,11 @@ _DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
 _ROUNDS = int(cv2.__version__.split(".")[0]) < 5
 
 
-class View:
+class SearchFrame:
     """The part of a frame in which a template is searched; layers and noise are computed once.
 
-    `noise` is the standard deviation of its noise, at least the one given; pixels from `saturation`
-    on count as saturated.
+    `noise` is the standard deviation of its noise, at least `least_noise`; pixels with a grey level
+    of at least `saturation` count as saturated.
     """
 
     def __init__(self, image: Image, least_noise: float) -> None:
@@ -125,7 +125,7 @@ def cut_out(
         patch = cv2.GaussianBlur(patch, (width, width), smoothing)
     gradient = [cv2.filter2D(patch, -1, kernel) for kernel in (_DIFFERENCE, _DIFFERENCE.T)]
     grey, *slope, inside = (each[pad:-pad, pad:-pad] for each in (patch, *gradient, inside))
-    return np.ascontiguousarray(grey), np.stack([one.ravel() for one in slope]), inside
+    return np.ascontiguousarray(grey), np.stack([each.ravel() for each in slope]), inside
 
 
 def noise_gain(halvings: int, density: int, smoothing: float) -> float:

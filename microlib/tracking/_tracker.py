@@ -9,15 +9,19 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_image, as_region, luminance, one_of
 from microlib.tracking._esm import Template, check_texture, make_level
-from microlib.tracking._geometry import GENERATORS, apply_homography, cut_around, translate
+from microlib.tracking._geometry import GENERATORS, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
-from microlib.tracking._sampling import View, half_pixel
+from microlib.tracking._sampling import SearchFrame, half_pixel
+from microlib.tracking._settings import TrackerSettings
 from microlib.tracking._track import Track
-from microlib.tracking.robust import ATTEMPTS, Found, RobustSearch, Scene, Sighting, find_template
-
-#: Standard deviation (px) of the Gaussian of the smoothed level. With twice as much, fine texture
-#: is lost; without it, the range of convergence is smaller.
-_SMOOTHING = 1.25
+from microlib.tracking.robust import (
+    ATTEMPTS,
+    Candidate,
+    Search,
+    Sighting,
+    find_template,
+    make_search_template,
+)
 
 
 class ESMTracker:
@@ -56,6 +60,11 @@ class ESMTracker:
         region in which a lost template is searched for. By default a search starts at the last
         accepted pose.
 
+    Attributes
+    ----------
+    kalman : KalmanFilter or None
+        The filter, which may be exchanged between two frames.
+
     Raises
     ------
     ValueError
@@ -85,6 +94,9 @@ class ESMTracker:
     (False, array([-5.,  3.]))
     """
 
+    #: A subclass may have other settings, and other attempts in another order.
+    _settings, _attempts = TrackerSettings(), ATTEMPTS
+
     def __init__(
         self,
         image: ArrayLike,
@@ -100,25 +112,32 @@ class ESMTracker:
         contrast = float(frame[y : y + height, x : x + width].std(dtype=np.float64))
         self._grey_scale = np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast else 1)
         frame = frame * self._grey_scale
-        self._shape, self._kalman, self._seen = frame.shape, kalman, True
-        self._attempts = ATTEMPTS
+        self._shape, self.kalman, self._seen = frame.shape, kalman, True
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
         )
         self._pose = self._start
-        cut = partial(make_level, box=self._box, pose=self._start, motion=motion)
-        self._template = Template(
-            smooth=cut(frame, smoothing=_SMOOTHING),
+        settings = self._settings
+        cut = partial(make_level, box=self._box, pose=self._start, motion=motion, settings=settings)
+        plain = Template(
+            smooth=cut(frame, smoothing=settings.smoothing),
             sharp=cut(half_pixel(frame), density=2, smoothing=0.0),
         )
-        check_texture(self._template)
+        check_texture(plain)
         # At least what rounding to whole numbers and interpolation leave.
         rounded = float(self._grey_scale) / np.sqrt(12) * (np.asarray(image).dtype.kind in "bui")
-        self._least_noise = max(0.01 * self._template.sharp.contrast, rounded)
-        view = View(frame, self._least_noise)
-        self._search = RobustSearch(self._template, view, self._box, self._start, motion)
-        self._last = Sighting(self._search, frame, self._pose)
+        self._least_noise = max(0.01 * plain.sharp.contrast, rounded)
+        self._template = make_search_template(
+            plain,
+            SearchFrame(frame, self._least_noise),
+            box=self._box,
+            pose=self._start,
+            motion=motion,
+            settings=settings,
+        )
+        self._last = Sighting(self._template, frame, self._pose)
+        self._first_lookalikes = self._last.lookalikes
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -144,36 +163,38 @@ class ESMTracker:
         frame = luminance("frame", frame)
         if frame.shape != self._shape:
             raise ValueError(f"frame must have shape {self._shape}, got {frame.shape}")
-        if self._kalman is not None:
+        if self.kalman is not None:
             center = self._corners().mean(axis=0)
-            self._pose = translate(self._pose, self._kalman.predict() - center)
+            self._pose = translate(self._pose, self.kalman.predict() - center)
         corners = self._corners()
         margin = np.ptp(corners, axis=0).max()
         if not self._seen:  # anywhere, or within five standard deviations of the prediction
-            sigma = np.inf if self._kalman is None else np.sqrt(self._kalman.covariance[0, 0])
+            sigma = np.inf if self.kalman is None else np.sqrt(self.kalman.covariance[0, 0])
             margin = max(margin, 5 * sigma)
         region, origin = cut_around(frame, corners, margin)
         if min(region.shape) < 2:
             return self._lost("out of view")
         image = np.ascontiguousarray(as_image("frame", region) * self._grey_scale)
-        view = View(image, self._least_noise)
-        pose = translate(self._pose, -origin)
-        scene = Scene(self._search, view, pose, self._seen, self._last)
-        found = find_template(scene, self._attempts)
-        if found.reason:
-            return self._lost(found.reason, found.confidence)
-        track = self._accept(found, origin)
+        search = Search(
+            template=self._template,
+            frame=SearchFrame(image, self._least_noise),
+            pose=translate(self._pose, -origin),
+            seen=self._seen,
+            first_lookalikes=self._first_lookalikes,
+            last=self._last,
+        )
+        best = find_template(search, self._attempts)
+        if best.reason:
+            return self._lost(best.reason, best.confidence)
+        self._seen, self._pose = True, translate(best.fit.pose, origin)
         whole = frame.astype(np.float32) * self._grey_scale
-        self._last = Sighting(self._search, whole, self._pose)
-        return track
+        self._last = Sighting(self._template, whole, self._pose)
+        return self._found(best)
 
-    def _accept(self, found: Found, origin: Array) -> Track:
-        """Keep what was found in a part of the frame that begins at `origin`."""
-        fit = found.fit
-        self._seen, self._pose = True, translate(fit.pose, origin)
-        corners = self._corners()
-        if self._kalman is not None:
-            self._kalman.update(corners.mean(axis=0))
+    def _found(self, best: Candidate) -> Track:
+        fit, corners = best.fit, self._corners()
+        if self.kalman is not None:
+            self.kalman.update(corners.mean(axis=0))
         homography = self._pose @ np.linalg.inv(self._start)
         return Track(
             corners=corners,
@@ -185,9 +206,9 @@ class ESMTracker:
             bias=fit.bias / float(self._grey_scale),
             visible=fit.visible,
             iterations=fit.iterations,
-            covariance=found.corner_covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2)),
-            confidence=found.confidence,
-            hidden=found.hidden,
+            covariance=best.corner_covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2)),
+            confidence=best.confidence,
+            hidden=best.hidden,
         )
 
     def _lost(self, reason: str, confidence: float = 0.0) -> Track:
@@ -201,4 +222,4 @@ class ESMTracker:
         )
 
     def _corners(self) -> Array:
-        return apply_homography(self._pose, self._template.sharp.corners)
+        return self._template.plain.corners_of(self._pose)

@@ -208,7 +208,8 @@ def test_sandwich_covariance_matches_scatter_of_robust_fits(side, blur, end):
         near = np.stack([residual - 1e-6, residual + 1e-6])
         slope = np.diff(near * biweight(near, end), axis=0)[0] / 2e-6
         fits.append(fit[:2])
-        stated.append(sandwich(design, residual, biweight(residual, end), slope, kept, 2))
+        options = {"transmission": kept, "smoothing": 1.5, "wanted": 2}
+        stated.append(sandwich(design, residual, biweight(residual, end), slope, **options))
     hold_sigma(fits, np.array(stated))
 
 
@@ -283,7 +284,7 @@ def test_template_that_is_half_static_background_is_lost_when_its_object_moves(n
 def test_right_pose_has_as_high_a_score_in_less_noise(distance):
     """Interpolation then leaves more than the noise: a score must allow for both."""
     image, box = scene(0, 1.5), (70, 65, 50, 50)
-    level = ESMTracker(image, box, "translation")._search._photometric[0]
+    level = ESMTracker(image, box, "translation")._template.photometric[0]
     pose = np.array([[25, 0, 94.5 + distance], [0, 25, 89.5 + distance], [0, 0, 1]])
     moved = half_pixel(translated(image, (distance, distance)).astype(np.float32))
     more, less = (

@@ -183,3 +183,29 @@ def test_refused_input_leaves_state_unchanged():
     ]
     new = lambda: ESMTracker(SCENE + NOISE[0], BOX, "affine")  # noqa: E731
     hold_same_as_new(new, lambda tracker: tracker.track(MOVED + NOISE[1]), *refused)
+
+
+def test_track_does_not_depend_on_the_frames_before():
+    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
+    absent = np.random.default_rng(0).normal(0, 28, one.shape)
+    new = ESMTracker(one, BOX, "affine").track(other)
+    tracker = ESMTracker(one, BOX, "affine")
+    for frames_before in ([other], [other, other], [absent], [one, absent, absent, one]):
+        for frame in frames_before:
+            tracker.track(frame)
+        again = tracker.track(other)
+        assert not again.lost
+        # The alignments start from different poses and end within 0.05 px.
+        np.testing.assert_allclose(again.corners, new.corners, atol=0.01)
+        assert again.gain == pytest.approx(new.gain, rel=0.01)
+        np.testing.assert_array_equal(again.hidden, new.hidden)
+
+
+def test_exchanged_filter_predicts_the_next_frame():
+    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
+    tracker = ESMTracker(one, BOX, "affine")
+    center = tracker.track(one).center
+    tracker.kalman = KalmanFilter(center, interval=0.04, acceleration=300.0, noise=0.1)
+    track = tracker.track(other)
+    np.testing.assert_allclose(tracker.kalman.position, track.center, atol=0.1)
+    np.testing.assert_allclose(track.center - center, BY, atol=0.05)

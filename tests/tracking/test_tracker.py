@@ -11,6 +11,7 @@ from compendium.experiments.section_5_3 import texture_sequence
 from microlib.synthetic import gripper_scene, mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, track_all
 from microlib.tracking._esm import make_level
+from microlib.tracking._settings import TrackerSettings
 from tests.scenes import camera_frame, warped_pair
 
 IMAGE = mixed_texture((80, 90), np.random.default_rng(0), scales=1.0)
@@ -65,13 +66,16 @@ def test_esm_step_is_of_second_order():
     # Whole pixels, so that interpolation takes no part, on textures much coarser than the steps.
     pose = np.array([[10.0, 0, 49.5], [0, 10.0, 41.5], [0, 0, 1]])
     errors: dict[int, list[float]] = {2: [], 1: []}
+    one_step = TrackerSettings(max_iterations=1)
     for seed in range(3, 8):
         image = mixed_texture((90, 100), np.random.default_rng(seed), scales=6.0)
         image = image.astype(np.float32)
-        level = make_level(image, (40, 32, 20, 20), pose, smoothing=0.0, motion="translation")
+        level = make_level(
+            image, (40, 32, 20, 20), pose, smoothing=0.0, motion="translation", settings=one_step
+        )
         for distance, found in errors.items():
             start = pose + np.array([[0, 0, distance], [0, 0, 0], [0, 0, 0]])
-            step = level.align(image, start, tolerance=0, iterations=1)
+            step = level.align(image, start, tolerance=0)
             found.append(step.pose[0, 2] - pose[0, 2])
     far, near = (np.sqrt(np.mean(np.square(found))) for found in errors.values())
     # Halving the distance leaves an eighth of the error of a second-order step (7.8 here), and a

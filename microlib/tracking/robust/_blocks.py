@@ -12,35 +12,7 @@ import numpy as np
 
 from microlib._common import Array, Image
 from microlib.tracking._geometry import TINY
-
-#: Mean information (nats) of a block that shows something else.
-_UNRELATED = 0.25
-
-#: Share of a block's variance that interpolation leaves: the mean over photographs without noise.
-_INTERPOLATION = 0.001
-
-#: Largest weight of one block in the agreement: its variance over that of the noise.
-_LARGEST_WEIGHT = 50.0
-
-
-@dataclass(frozen=True, eq=False)
-class Agreement:
-    """How far the blocks of the template agree about a pose.
-
-    Attributes
-    ----------
-    agreeing : float
-        Share of the blocks, weighted by their texture over the noise, whose residual is noise.
-    texture : float
-        Sum of those weights.
-    residual : float
-        Root mean square, weighted alike, of the blocks' mean residuals about the one gain and bias
-        of all, grey levels.
-    """
-
-    agreeing: float
-    texture: float
-    residual: float
+from microlib.tracking._settings import TrackerSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +33,7 @@ class Blocks:
     tg: Array
     square: Array
     noise: float
+    settings: TrackerSettings
 
     @property
     def unexplained(self) -> Array:
@@ -82,34 +55,45 @@ class Blocks:
         is the variance that the template does not explain, and e the one that is expected of noise
         and interpolation.
         """
+        unrelated = self.settings.unrelated_information
         information = -0.5 * np.log1p(-self.square)
         gain = np.log(np.maximum(self.tg, TINY) / self.tt)
-        weight = np.where(information > _UNRELATED, information * self.visible, 0.0)
+        weight = np.where(information > unrelated, information * self.visible, 0.0)
         off = gain - _weighted_median(gain, weight)
-        score = np.maximum(information - _UNRELATED - off**2, 0)
-        expected = self.noise + _INTERPOLATION * self.gg
+        score = np.maximum(information - unrelated - off**2, 0)
+        expected = self.noise + self.settings.interpolation_error * self.gg
         return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
 
-    def agreement(self) -> Agreement:
-        """Return how far the blocks of one patch agree."""
-        textures = np.clip(self.gg / self.noise - 1, 0, _LARGEST_WEIGHT) * self.visible
-        texture = textures.sum()
-        weight = textures / max(texture, TINY)
+    @property
+    def texture(self) -> Array:
+        """Variance of the image over that of the noise, minus 1, in the visible part of a block."""
+        most = self.settings.max_block_weight
+        return np.clip(self.gg / self.noise - 1, 0, most) * self.visible
+
+    def agree(self) -> bool:
+        """Return whether all blocks agree, by their texture, and have enough texture for that."""
         # Interpolation leaves at most 2 % of a block's variance.
-        agrees = self.unexplained <= 3 * self.noise + 0.02 * self.gg
-        # About the one gain and bias of all blocks together.
+        is_noise = self.unexplained <= 3 * self.noise + 0.02 * self.gg
+        texture, total = self.texture, float(self.texture.sum())
+        most = texture @ is_noise >= self.settings.min_agreement * total
+        return bool(most and total >= self.settings.min_texture)
+
+    def residual_of_means(self) -> float:
+        """Return the residual of the blocks' means about one gain and bias of all blocks.
+
+        It is a root mean square in grey levels, weighted by the texture.
+        """
         share = self.count / max(self.count.sum(), TINY)
         t, g = self.t - share @ self.t, self.g - share @ self.g
         slope = share @ (self.tg + t * g) / max(share @ (self.tt + t * t), TINY)
-        off = np.where(self.count > 0, g - slope * t, 0.0)
-        return Agreement(
-            agreeing=float(weight @ agrees),
-            texture=float(texture),
-            residual=float(np.sqrt(weight @ off**2)),
-        )
+        residual = np.where(self.count > 0, g - slope * t, 0.0)
+        weight = self.texture / max(self.texture.sum(), TINY)
+        return float(np.sqrt(weight @ residual**2))
 
 
-def compare(grey: Image, template: Image, weight: Image, noise: float) -> Blocks:
+def compare(
+    grey: Image, template: Image, weight: Image, noise: float, settings: TrackerSettings
+) -> Blocks:
     """Compare template and image, H×W, block by block.
 
     `weight` is that of the pixels, and `noise` their standard deviation.
@@ -130,6 +114,7 @@ def compare(grey: Image, template: Image, weight: Image, noise: float) -> Blocks
         tg=tg,
         square=np.where(tg > 0, np.minimum(tg * tg / (tt * gg), 0.9999), 0.0),
         noise=2.0 * noise**2,
+        settings=settings,
     )
 
 

@@ -5,18 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from microlib._common import Array, Image
+from microlib._common import Array, Image, inverse_symmetric
 from microlib.tracking._esm import Alignment, Level
 from microlib.tracking._geometry import corner_jacobian
 from microlib.tracking.robust._normal_equations import gram, ridged
 
-#: Standard deviation (px) of the Gaussian after which the residuals should be noise.
-_SMOOTHING = 1.5
 
-
-def corner_covariance(
-    level: Level, fit: Alignment, slope: Image, transmission: float = 1.0, factor: float = 1.0
-) -> Array:
+def corner_covariance(level: Level, fit: Alignment, slope: Image) -> Array:
     """Return the covariance of the corners (8: x, y of each), px² of the frame.
 
     Parameters
@@ -27,21 +22,31 @@ def corner_covariance(
         An alignment of that level.
     slope : ndarray, shape (H, W)
         Derivatives of the weighted residuals by the residuals.
-    transmission : float
-        Share of the variance of white noise that smoothing and interpolation leave.
-    factor : float
-        Factor of the covariance.
     """
-    n = len(level.basis)
-    covariance = sandwich(fit.design, fit.residual, fit.weight, slope, transmission, n)
+    covariance = sandwich(
+        fit.design,
+        fit.residual,
+        fit.weight,
+        slope,
+        transmission=level.noise**2,
+        smoothing=level.settings.residual_smoothing,
+        wanted=len(level.basis),
+    )
     jacobian = corner_jacobian(fit.pose, level.basis, level.corners)
-    return factor * jacobian.T @ covariance @ jacobian
+    return jacobian.T @ covariance @ jacobian
 
 
 def sandwich(
-    design: Array, residual: Array, weight: Array, slope: Array, transmission: float, n: int
+    design: Array,
+    residual: Array,
+    weight: Array,
+    slope: Array,
+    *,
+    transmission: float,
+    smoothing: float,
+    wanted: int,
 ) -> Array:
-    """Return the covariance of the first `n` parameters of a weighted least-squares fit.
+    """Return the covariance of the first parameters of a weighted least-squares fit.
 
     This is the sandwich estimator N⁻¹ (X W K)(X W K)ᵀ N⁻¹ s² with Huber's correction for weights
     (Huber and Ronchetti 2009, section 7.6). X is the design, W the weights, N = X W Xᵀ, s² the
@@ -58,28 +63,28 @@ def sandwich(
         Derivatives of the weighted residuals by the residuals.
     transmission : float
         Share of the variance of white noise that smoothing and interpolation leave.
-    n : int
-        Parameters wanted; the others are estimated along with them.
+    smoothing : float
+        Standard deviation (samples) of the Gaussian after which the residuals should be noise.
+    wanted : int
+        Number of parameters whose covariance is wanted; the others are estimated along with them.
 
     Returns
     -------
-    ndarray, shape (n, n)
-        NaN where the pixels do not determine them.
+    ndarray, shape (wanted, wanted)
+        NaN if the pixels do not determine the parameters.
     """
-    wanted, nuisance, weights = design[:n], design[n:], weight.ravel()
-    try:
-        weighted = nuisance * weights
-        projection = np.linalg.solve(ridged(gram(weighted, nuisance)), gram(weighted, wanted))
-        wanted = wanted - projection.T @ nuisance
-        inverse = np.linalg.inv(gram(wanted * weights, wanted))
-    except np.linalg.LinAlgError:
-        return np.full((n, n), np.nan)
+    motions, nuisance, weights = design[:wanted], design[wanted:], weight.ravel()
+    weighted = nuisance * weights
+    projection = np.linalg.solve(ridged(gram(weighted, nuisance)), gram(weighted, motions))
+    motions = motions - projection.T @ nuisance
+    inverse = inverse_symmetric(gram(motions * weights, motions)[None])[0]
     efficiency = max(float(slope.sum()), 0.1 * float(weight.sum())) / float(weight.sum())
     variance = np.sum(np.square(weight * residual)) / np.sum(np.square(weight))
-    scores = (wanted * weights * np.sqrt(variance)).astype(np.float32).reshape(n, *residual.shape)
+    scores = (motions * weights * np.sqrt(variance)).astype(np.float32)
+    scores = scores.reshape(wanted, *residual.shape)
     correlated = _correlate(scores, transmission)
     middle = gram(correlated, correlated) / transmission
-    excess = _excess_variance(residual * np.sqrt(weight), transmission)
+    excess = _excess_variance(residual * np.sqrt(weight), transmission, smoothing)
     return excess * inverse @ middle @ inverse / efficiency**2
 
 
@@ -88,19 +93,22 @@ def _correlate(scores: Image, transmission: float) -> Image:
     if transmission < 1:
         sigma = 1 / (2 * np.sqrt(np.pi * transmission))
         scores = np.stack(
-            [cv2.GaussianBlur(s, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for s in scores]
+            [
+                cv2.GaussianBlur(each, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+                for each in scores
+            ]
         )
     return scores.reshape(len(scores), -1)
 
 
-def _excess_variance(residual: Array, transmission: float) -> float:
-    """Return by what factor a blur leaves more of the residuals than of noise, at least 1.
+def _excess_variance(residual: Array, transmission: float, smoothing: float) -> float:
+    """Return by what factor a Gaussian leaves more of the residuals than of noise, at least 1.
 
     White noise after a Gaussian of variance s has a variance in proportion to 1/s.
     """
     sigma = 1 / (2 * np.sqrt(np.pi * transmission))
-    blurred = cv2.GaussianBlur(np.asarray(residual, np.float32), (0, 0), _SMOOTHING)
-    expected = sigma**2 / (sigma**2 + _SMOOTHING**2) * float(np.mean(residual**2))
+    blurred = cv2.GaussianBlur(np.asarray(residual, np.float32), (0, 0), smoothing)
+    expected = sigma**2 / (sigma**2 + smoothing**2) * float(np.mean(residual**2))
     return max(float(np.mean(blurred**2)) / expected, 1.0) if expected > 0 else 1.0
 
 

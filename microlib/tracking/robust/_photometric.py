@@ -12,27 +12,14 @@ import cv2
 import numpy as np
 from scipy.interpolate import BSpline
 
-from microlib._common import Array, Image
+from microlib._common import TUKEY_LIMIT, Array, Image, robust_std, tukey_weights
 from microlib.tracking._esm import Alignment, Level
-from microlib.tracking._geometry import TINY, degenerate, retract
+from microlib.tracking._geometry import TINY, advance
 from microlib.tracking.robust._blocks import Blocks, compare
 from microlib.tracking.robust._normal_equations import weighted_least_squares
 
 #: The columns that depend on the template come first, those of the bias behind.
 _TEMPLATE, _BIAS = slice(0, 6), slice(6, None)
-
-#: Standard deviation (px of the finest level of the search) of the Gaussian window in which gain
-#: and bias count as constant. With twice as much no more is found.
-_WINDOW = 3.5
-
-#: Most steps, and the motion of the corners (samples) that ends them.
-_ITERATIONS, _TOLERANCE = 9, 0.02
-
-#: Where Tukey's biweight ends, in standard deviations: 95 % efficient for normal noise.
-_TUKEY = 4.685
-
-#: Standard deviation of a normal variable over the median of its size.
-_NORMAL = 1.4826
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,51 +69,54 @@ class PhotometricLevel(Level):
         Each iteration is a step of ESM on the motion and the coefficients of all columns, by
         iteratively reweighted least squares with Tukey's biweight.
         """
-        n, noise = len(self.basis), noise * self.noise
-        first = corners = self.corners_of(pose)
+        n, noise, settings, start = len(self.basis), noise * self.noise, self.settings, pose
+        tolerance = settings.robust_tolerance * 2**self.halvings
         grey, gradient, weight = self.patch(image, pose, saturation)
         inliers = inlier_weight(self, grey, weight, noise).ravel()
         coefficients = weighted_least_squares(self.columns, grey.ravel(), inliers)
-        count, moved = 0, np.inf
-        while count < _ITERATIONS and moved >= _TOLERANCE:
+        steps = 0
+        while steps < settings.max_iterations:
+            steps += 1
             gain = coefficients[_TEMPLATE].astype(np.float32) @ self.column_slopes
             mean = np.float32(0.5) * (gradient + gain * self.gradient)  # of ESM, as in `_rows`
             motion = self.flow[0] * mean[0] + self.flow[1] * mean[1]
             design = np.concatenate([motion, self.columns])
             residual = grey.ravel() - coefficients.astype(np.float32) @ self.columns
             prior = weight.ravel() * inliers
-            of_inliers = np.abs(residual[prior > 1 / 3])
+            of_inliers = residual[prior > 1 / 3]
             if of_inliers.size < 3 * len(design):
                 return None
-            scale = max(_NORMAL * float(np.median(of_inliers)), noise)
-            robust = (prior * tukey(residual, scale)).astype(np.float32)
+            scale = max(robust_std(of_inliers), noise)
+            robust = (prior * tukey_weights(residual, TUKEY_LIMIT * scale)).astype(np.float32)
             step = weighted_least_squares(design, residual, robust, motions=n)
             coefficients = coefficients + step[n:]
-            pose = retract(pose, -step[:n], self.basis)
-            before, corners = corners, self.corners_of(pose)
-            if degenerate(corners, first):
+            pose, distance = advance(pose, -step[:n], start, self.basis, self.corners)
+            if np.isnan(distance):
                 return None
-            count, moved = count + 1, float(np.abs(corners - before).max())
             grey, gradient, weight = self.patch(image, pose, saturation)
+            if distance < tolerance:
+                break
         shape = self.grey.shape
         residual, robust = residual.reshape(shape), robust.reshape(shape)
         model = (coefficients[_TEMPLATE] @ self.columns[_TEMPLATE]).astype(np.float32)
         middle = self.columns[_BIAS, (shape[0] // 2) * shape[1] + shape[1] // 2]
         gain_of_middle = float(coefficients[0]) / self.contrast
+        correlation = _multiple_correlation(grey, residual, robust)
         return PhotometricFit(
             pose=pose,
-            correlation=_multiple_correlation(grey, residual, robust),
+            reason="" if correlation >= settings.min_correlation else "low correlation",
+            correlation=correlation,
             gain=gain_of_middle,
             bias=float(coefficients[_BIAS] @ middle) - gain_of_middle * self.mean,
             visible=float(weight.mean()),
-            iterations=count,
+            iterations=steps,
             design=design,
             residual=residual,
             weight=robust,
-            blocks=compare(grey, model.reshape(shape), weight, noise),
+            blocks=compare(grey, model.reshape(shape), weight, noise, settings),
             noise=scale / noise,
-            psi_slope=_tukey_slope(robust, residual, scale),
-            hidden=_hidden(residual, model.reshape(shape), noise),
+            psi_slope=_tukey_slope(robust, residual, TUKEY_LIMIT * scale),
+            hidden=_hidden(residual, model.reshape(shape), noise, settings.window),
         )
 
 
@@ -140,7 +130,8 @@ def inlier_weight(level: Level, grey: Image, weight: Image, noise: float) -> Ima
     """
 
     def window(image: Image) -> Image:
-        return cv2.GaussianBlur(image, (0, 0), _WINDOW, borderType=cv2.BORDER_CONSTANT)
+        sigma = level.settings.window
+        return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
 
     count = np.maximum(window(weight), np.float32(TINY))
     template = level.grey
@@ -158,25 +149,22 @@ def inlier_weight(level: Level, grey: Image, weight: Image, noise: float) -> Ima
     return np.maximum(np.maximum(by_texture, by_noise), 0).astype(np.float32) * weight
 
 
-def tukey(residual: Array, scale: float) -> Array:
-    """Return the weights of Tukey's biweight, (1 − u²)² with u = residual/(4.685 scale)."""
-    return np.square(np.maximum(1 - np.square(residual / (_TUKEY * scale)), 0))
-
-
-def _tukey_slope(weight: Image, residual: Image, scale: float) -> Image:
+def _tukey_slope(weight: Image, residual: Image, limit: float) -> Image:
     """Return the derivative of the weighted residuals by the residuals, for Tukey's biweight.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from microlib.tracking.robust._photometric import _tukey_slope, tukey
+    >>> from microlib._common import tukey_weights
+    >>> from microlib.tracking.robust._photometric import _tukey_slope
     >>> residual = np.linspace(-6, 6, 9)
     >>> near = residual + [[-1e-6], [1e-6]]
-    >>> difference = np.diff(near * tukey(near, 1.2), axis=0)[0] / 2e-6
-    >>> np.allclose(_tukey_slope(tukey(residual, 1.2), residual, 1.2), difference, atol=1e-8)
+    >>> difference = np.diff(near * tukey_weights(near, 5.0), axis=0)[0] / 2e-6
+    >>> slope = _tukey_slope(tukey_weights(residual, 5.0), residual, 5.0)
+    >>> np.allclose(slope, difference, atol=1e-8)
     True
     """
-    square = (residual / (_TUKEY * scale)) ** 2
+    square = (residual / limit) ** 2
     # The weight is inliers·(1 − u²)², the slope inliers·(1 − u²)(1 − 5u²).
     return np.where(square < 1, weight * (1 - 5 * square) / np.maximum(1 - square, TINY), 0)
 
@@ -189,23 +177,22 @@ def _multiple_correlation(grey: Image, residual: Image, weight: Image) -> float:
     return float(np.sqrt(max(1.0 - unexplained / max(total, TINY), 0.0)))
 
 
-def _hidden(residual: Image, model: Image, noise: float) -> Image:
+def _hidden(residual: Image, model: Image, noise: float, window: float) -> Image:
     """Return the pixels whose residual is neither noise nor small beside the template.
 
     The mean square residual about them, over 1.5 px, exceeds the sum of nine times the noise's and
     a quarter of the template's variance about them.
     """
     square = cv2.GaussianBlur(residual**2, (0, 0), 1.5)
-    mean = cv2.GaussianBlur(model, (0, 0), _WINDOW)
-    variance = cv2.GaussianBlur(model**2, (0, 0), _WINDOW) - mean**2
+    mean = cv2.GaussianBlur(model, (0, 0), window)
+    variance = cv2.GaussianBlur(model**2, (0, 0), window) - mean**2
     return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_photometric(level: Level, blurred: Level, bias_splines: int) -> PhotometricLevel:
+def make_photometric(level: Level, blurred: Level) -> PhotometricLevel:
     """Return a template with the columns of its photometric model.
 
-    `blurred` is the same template after a small blur. The bias is a sum of so many splines along
-    each side.
+    `blurred` is the same template after a small blur.
     """
     rows, columns = level.grey.shape
     contrast = max(level.contrast, TINY)
@@ -222,7 +209,7 @@ def make_photometric(level: Level, blurred: Level, bias_splines: int) -> Photome
         "square": (t * t, 2 * t),
         "cube": (t**3, 3 * t * t),
     }
-    across, down = (_splines(side, bias_splines) for side in (columns, rows))
+    across, down = (_splines(side, level.settings.bias_splines) for side in (columns, rows))
     of_bias = [a * b[:, None] for a in across for b in down]
     values = np.array([column for column, _ in of_template.values()] + of_bias, np.float32)
     slopes = np.array([slope for _, slope in of_template.values()], np.float32)

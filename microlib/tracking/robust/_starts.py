@@ -14,12 +14,6 @@ from microlib.tracking._esm import Level
 from microlib.tracking._geometry import GENERATORS, TINY, apply_homography, retract, translate
 from microlib.tracking._sampling import padding, sample
 
-#: Spacing of the points and their error, px.
-_SPACING, _ERROR = 5, 1.5
-
-#: Fewest points that make a motion.
-_FEWEST = 8
-
 
 class PointFlow:
     """The template's points, to be followed by pyramidal Lucas–Kanade in local contrast.
@@ -28,14 +22,14 @@ class PointFlow:
     """
 
     def __init__(self, level: Level, image: Image, pose: Array, margin: int) -> None:
-        self._level, self._margin = level, margin
+        self._level, self._margin, settings = level, margin, level.settings
+        self._min_points, spacing = settings.min_points, settings.point_spacing
         rows, columns = (
-            np.arange(2 + (side - 5) % _SPACING // 2, side - 2, _SPACING)
-            for side in level.grey.shape
+            np.arange(2 + (side - 5) % spacing // 2, side - 2, spacing) for side in level.grey.shape
         )
         place = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
         self._points = place.astype(np.float32)
-        self._error = _ERROR / level.to_image[0, 0]
+        self._error = settings.point_error / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
     def follow_from(self, image: Image, pose: Array) -> tuple[float, Array | None]:
@@ -47,13 +41,13 @@ class PointFlow:
             Share of the points in view that stay.
         moved : ndarray, shape (3, 3), or None
             The pose, moved by the translation that most of the other points in view share, if at
-            least eight do.
+            least `min_points` do.
         """
         here, there = self._followed(image, pose)
         last = np.subtract(image.shape[::-1], 1) / self._level.to_image[0, 0]
         in_view = ((here >= 0) & (here <= last)).all(axis=1)
         stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
-        inlier_ratio = float(stay.sum() / max(in_view.sum(), min(len(here), _FEWEST), 1))
+        inlier_ratio = float(stay.sum() / max(in_view.sum(), min(len(here), self._min_points), 1))
         leave = in_view & ~stay
         motion = self._motion(here[leave], there[leave], len(GENERATORS["translation"]))
         return inlier_ratio, None if motion is None else motion @ pose
@@ -65,12 +59,12 @@ class PointFlow:
 
     def _motion(self, here: Array, there: Array, n: int) -> Array | None:
         """Return the motion of `n` parameters that most points agree in, if enough do."""
-        found = np.isfinite(there).all(axis=1)
-        here, there = here[found].astype(np.float32), there[found].astype(np.float32)
-        if len(here) < _FEWEST:
+        known = np.isfinite(there).all(axis=1)
+        here, there = here[known].astype(np.float32), there[known].astype(np.float32)
+        if len(here) < self._min_points:
             return None
         motion, inliers = _ransac(here, there, n, self._error)
-        return None if motion is None or inliers.sum() < _FEWEST else motion
+        return None if motion is None or inliers.sum() < self._min_points else motion
 
     def _followed(self, image: Image, pose: Array) -> tuple[Array, Array]:
         """Return the points under a pose, and where they go, infinite where they are lost."""
@@ -114,8 +108,8 @@ def _ransac(
         return translate(np.eye(3), moves[inliers].mean(axis=0)), inliers
     estimate: Any = cv2.estimateAffine2D if n == len(GENERATORS["affine"]) else cv2.findHomography
     options = {"method": cv2.RANSAC, "ransacReprojThreshold": error, "maxIters": 200}
-    found, inliers = estimate(here, there, **options)
-    motion = None if found is None else np.vstack([found, [0, 0, 1]])[:3]
+    matrix, inliers = estimate(here, there, **options)
+    motion = None if matrix is None else np.vstack([matrix, [0, 0, 1]])[:3]
     return motion, np.asarray(inliers).ravel() > 0
 
 
@@ -139,15 +133,15 @@ def ncc_peaks(
     return [translate(pose, place - center) for place in places]
 
 
-def distortions(motion: str, size: float) -> list[Array]:
+def distortions(basis: Array, size: float) -> list[Array]:
     """Return warps that step by ± `size` along every generator of a group of deformations.
 
     The signs are the rows of a Hadamard matrix and these rows with two signs changed, which is as
     far apart as 32 patterns of eight signs can be.
     """
-    if motion == "translation":
+    if len(basis) == len(GENERATORS["translation"]):
         return []
-    rows, basis = hadamard(8), GENERATORS[motion]
+    rows = hadamard(8)
     changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
     signs = np.concatenate([rows, -rows, changed, -changed])[:, : len(basis)]
     return list(retract(np.eye(3), size * signs, basis))

@@ -1,0 +1,154 @@
+"""Settings of the tracker, chosen on development photographs and checked on other photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Settings of the alignments and of the attempts, with the reason for each.
+
+    Lengths in px are those of the finest level of a search, unless they are said to be those of the
+    frame or of another level.
+
+    Attributes
+    ----------
+    smoothing : float
+        Standard deviation (px of the frame) of the Gaussian of the first level of a plain
+        alignment. With twice as much, fine texture is lost; without it, the range of convergence is
+        smaller.
+    min_visible : float
+        Least share of the template's pixels that must lie inside the image.
+    min_correlation : float
+        Normalized correlation below which an alignment is not the template.
+    max_iterations : int
+        Most steps of an alignment at one level.
+    rough_tolerance, tolerance : float
+        Motion of the corners (px of the frame) that ends a plain alignment: at a level that another
+        level refines, and at the last level. One more step after a motion by 0.05 px would move the
+        corners by about 0.05² px.
+    robust_tolerance : float
+        Motion of the corners (px) that ends a photometric alignment. Its weights change with every
+        step, so that it converges more slowly than a plain alignment.
+    min_agreement : float
+        Texture of the blocks that agree over that of all, from which on a pose needs no search.
+    min_texture : float
+        Sum of the variances of the blocks over that of the noise that this decision needs.
+    max_sigma : float
+        Standard deviation of a corner (px) up to which this decision is made.
+    steady_light, changed_ground : tuple of float
+        Largest residual of the blocks' means about one gain and bias: a multiple of the noise plus
+        a multiple of the contrast. Up to the first the illumination counts as unchanged; up to the
+        second a plain alignment can confirm a photometric fit, though the ground between details of
+        the template may have changed.
+    max_difference : float
+        Largest distance of the corners (px) at which a plain alignment confirms a photometric fit,
+        and largest standard deviation of that fit. Without this rule a frame of the gripper takes
+        four times as long.
+    max_residual : float
+        Robust standard deviation of the residual of a photometric fit over the noise, up to which
+        nothing is hidden.
+    threshold : float
+        Probability of being right from which on a pose is accepted.
+    confidence_coefficients : tuple of float
+        Coefficients of the logistic regression that gives this probability: of 1, of the logarithm
+        of the best score over the second best, of the inlier ratio of the points, of the
+        displacement, and of the logarithm of the standard deviation of the corners. They were
+        fitted by maximum likelihood, with a ridge of ½ on standardized features, to 445 poses that
+        robust searches found on photographs, 352 of which were right. The photographs were eight of
+        scikit-image's and eight of OpenCV's, in 432 pairs like those of the tracker's benchmark and
+        in sequences with a sheen or growing saturation. Right poses had errors of less than 1 px;
+        the other poses were wrong by more than 3 px or of a template that was absent.
+    min_inlier_ratio : float
+        Share of the points that must stay at the result of a search nearby: the majority.
+    lookalike_ncc : float
+        Normalized correlation from which on another place of a frame may be a lookalike.
+    near : float
+        Motion, in longer sides of the template, below which only lookalikes of the first frame
+        count.
+    apart : float
+        Distance of the corners (px) from which on two poses are different ones.
+    max_side : int
+        Largest side (px), at the finest level of the search, of a square of the template's area. It
+        limits the cost.
+    distortion_step : float
+        Step of the distorted starts along each generator. Without these starts 75 % instead of 92 %
+        of the homographies of 15 px are found.
+    max_matches : int
+        Peaks of the correlation that are tried. Without them no translation of 32 px is found.
+    beam : int
+        Starts that are aligned with the photometric model.
+    beam_share : float
+        Score over that of the best start that such a start needs.
+    least_score : float
+        Score (nats) that such a start needs; below it no photometric fit is made.
+    point_spacing, point_error : float
+        Spacing of the points that are followed by optical flow (px), and the error up to which a
+        point counts as an inlier of a motion.
+    min_points : int
+        Fewest points that make a motion.
+    coarse_smoothing, fine_smoothing : float
+        Standard deviations (px) of the Gaussians of the levels of the search, and of the levels of
+        the photometric model, which are sampled at half pixels.
+    window : float
+        Standard deviation (px) of the Gaussian window in which gain and bias count as constant.
+        With twice as much no more is found.
+    blurs : tuple of float
+        Standard deviations (px) of the blurs of the template.
+    bias_splines : int
+        Cubic splines of the bias along a side.
+    covariance_factor : float
+        Factor of the covariance of a photometric fit for what its model omits: a blur between those
+        tried.
+    residual_smoothing : float
+        Standard deviation (samples) of the Gaussian after which residuals should be noise. What
+        remains in excess of the noise increases the covariance.
+    unrelated_information : float
+        Mean information (nats) of a block that shows something else.
+    interpolation_error : float
+        Share of a block's variance that interpolation leaves: the mean over photographs without
+        noise.
+    max_block_weight : float
+        Largest weight of one block in the agreement: its variance over that of the noise.
+    """
+
+    smoothing: float = 1.25
+    min_visible: float = 0.25
+    min_correlation: float = 0.7
+    max_iterations: int = 6
+    rough_tolerance: float = 0.5
+    tolerance: float = 0.05
+    robust_tolerance: float = 0.01
+    min_agreement: float = 0.95
+    min_texture: float = 100.0
+    max_sigma: float = 0.15
+    steady_light: tuple[float, float] = (0.5, 0.02)
+    changed_ground: tuple[float, float] = (1.0, 0.2)
+    max_difference: float = 0.5
+    max_residual: float = 1.5
+    threshold: float = 0.7
+    confidence_coefficients: tuple[float, ...] = (-3.64, 0.33, 4.16, -9.86, -1.45)
+    min_inlier_ratio: float = 0.5
+    lookalike_ncc: float = 0.9
+    near: float = 0.25
+    apart: float = 3.0
+    max_side: int = 64
+    distortion_step: float = 0.15
+    max_matches: int = 6
+    beam: int = 3
+    beam_share: float = 0.5
+    least_score: float = 1.0
+    point_spacing: int = 5
+    point_error: float = 1.5
+    min_points: int = 8
+    coarse_smoothing: float = 1.0
+    fine_smoothing: float = 0.6
+    window: float = 3.5
+    blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
+    bias_splines: int = 5
+    covariance_factor: float = 1.5
+    residual_smoothing: float = 1.5
+    unrelated_information: float = 0.25
+    interpolation_error: float = 0.001
+    max_block_weight: float = 50.0
