@@ -1,4 +1,4 @@
-"""The default depth's time, memory and first call, beside box filters over the same frames.
+"""The default depth's time and memory, beside box filters over the same frames.
 
 Run as ``python -m benchmarks focus_speed``; takes two minutes. CPU time, both measured in turn: on
 a machine that has other work, too, their ratio changes by a tenth.
@@ -27,8 +27,7 @@ COUNT, SIDE = len(POSITIONS), 1024
 ROUNDS, PASSES = 3, 50
 
 TIME = "CPU time of one thread, 21 frames of 1024×1024, passes of cv2.boxFilter 5×5"
-FIRST = "CPU time of registration, of the import, and of a first call"
-REGISTERED = "depth of 512×512 px with registration over that without"
+REGISTERED = "CPU time of 21 frames of 512×512 px with registration over that without"
 MEMORY = "Peak memory beyond the frames, bytes a pixel"
 
 
@@ -54,30 +53,6 @@ def boxes(stack: NDArray) -> None:
             cv2.boxFilter(frame, cv2.CV_32F, (5, 5), dst=buffer)
 
 
-def in_new_process(code: str) -> float:
-    """Return the number that a script prints."""
-    command = [sys.executable, "-c", code]
-    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-
-
-IMPORT = """
-from time import process_time
-start = process_time()
-import microlib.focus
-print(process_time() - start)
-"""
-CALL = """
-from time import process_time
-import numpy as np
-from microlib.focus import depth_from_focus
-stack = np.random.default_rng(0).integers(0, 256, (9, 512, 512)).astype(np.uint8)
-times = []
-for _ in range(3):
-    start = process_time()
-    depth_from_focus(stack, np.arange(9.0))
-    times.append(process_time() - start)
-print(times[0] / min(times[1:]))
-"""
 #: The same small stack first: what is imported takes memory of its own.
 WEIGH = f"""
 from pathlib import Path
@@ -124,30 +99,19 @@ def main() -> tuple[Tables, Limits]:
         rounds=ROUNDS,
         clock=process_time,
     )
-    first = {
-        REGISTERED: registered,
-        "import microlib.focus, s": in_new_process(IMPORT),
-        "first call of a process over the next": in_new_process(CALL),
-    }
-    memory = in_new_process(WEIGH)
+    command = [sys.executable, "-c", WEIGH]
+    memory = float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     rows = [(name, round(ratio, 1)) for name, ratio in times.items()]
     tables = {
         TIME: pd.DataFrame(rows, columns=["scene", "passes, median"]),
-        FIRST: pd.DataFrame([(k, round(v, 2)) for k, v in first.items()], columns=["what", "CPU"]),
+        REGISTERED: pd.DataFrame([("slope", round(registered, 2))], columns=["scene", "ratio"]),
         MEMORY: pd.DataFrame([("default", round(memory))], columns=["what", "bytes"]),
     }
     limits: Limits = [
         ("default depth of a slope, passes", times["slope"], "≤", 70),
         ("default depth of a step, passes", times["step"], "≤", 75),
         ("default depth of a step with holes, passes", times["step, holes"], "≤", 75),
-        (
-            "time of the first call over the time of the next call",
-            first["first call of a process over the next"],
-            "≤",
-            1.5,
-        ),
         ("registration over depth alone, 512×512", registered - 1, "≤", 1.0),
-        ("import, s", first["import microlib.focus, s"], "≤", 0.6),
         ("memory, bytes a pixel", memory, "≤", 180),
     ]
     return tables, limits

@@ -128,4 +128,4 @@ def test_targets_are_reached_under_rotation_reflection_and_scale():
     # The tolerance of 0.05 px plus the error of the tracker.
     assert max(run["error"] for run in runs) <= 0.12
     assert np.mean([run["error"] for run in runs]) <= 0.05
-    assert max(run["steps"] for run in runs) <= 3
+    assert max(run["moves"] for run in runs) <= 3
