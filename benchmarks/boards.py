@@ -321,30 +321,16 @@ the last table adds one fault to a calibration.
 
 def main() -> tuple[Tables, Limits]:
     photographs, refused, fits, grids = boards(), others(), faults(), lattices()
+    ratios, silent = photographs["error over σ"], fits["neither %"].max()
     plain = ~photographs["photograph"].isin(["glare"])
     sides = photographs["photograph"].str.startswith("side")
     limits: Limits = [
         ("wrong points, all photographs", photographs["wrong points"].sum(), "≤", 0),
-        (
-            "RMS error over stated σ, largest without glare",
-            photographs["error over σ"][plain].max(),
-            "≤",
-            1.3,
-        ),
-        (
-            "RMS error over stated σ, largest with glare",
-            photographs["error over σ"][~plain].max(),
-            "≤",
-            1.6,
-        ),
+        ("RMS error over stated σ without glare", ratios[plain].max(), "≤", 1.3),
+        ("RMS error over stated σ with glare", ratios[~plain].max(), "≤", 1.6),
         ("error of any side of the board, px", photographs["error px"][sides].max(), "≤", 0.015),
         ("images without a pattern accepted", refused["accepted"].sum(), "≤", 0),
-        (
-            "interval of f wrong and fit reported adequate, worst fault, %",
-            fits["neither %"].max(),
-            "≤",
-            10,
-        ),
+        ("interval of f wrong and fit reported adequate, worst fault, %", silent, "≤", 10),
         ("wrong lattices of chessboards", grids["wrong lattices"][0], "≤", 0),
         ("chessboards rejected, %", 100 * grids["rejected"][0] / grids["boards"][0], "≤", 2),
     ]

@@ -228,25 +228,13 @@ def over_scenes(ratios: dict[str, list[float]]) -> pd.DataFrame:
 def limits(tables: Tables) -> Limits:
     means = tables[RATIO_TABLE].set_index("disturbance")["mean"]
     lines = [
-        (
-            f"{name}: error over the error at rest, mean of {len(SCENES)} scenes",
-            means[name],
-            "≤",
-            limit,
-        )
+        (f"{name}: error over that at rest, mean of {len(SCENES)} scenes", means[name], "≤", limit)
         for name, (_, limit) in CASES.items()
     ]
     over = means[DRIFT] / means[ORACLE]
     lines.append(("drift 2×: error over the error with the true gains", over, "≤", 1.05))
     offsets = means[[name for name in means.index if "offset" in name]]
-    lines.append(
-        (
-            "with offsets: largest mean of the error over the error at rest",
-            offsets.max(),
-            "≤",
-            OFFSET_LIMIT,
-        )
-    )
+    lines.append(("with offsets: largest of these means", offsets.max(), "≤", OFFSET_LIMIT))
     return lines
 
 
