@@ -455,16 +455,12 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
         ("calibrate circles.png --pitch 280 --focal-length 126150", "give --pixel-pitch µm"),
         (
-            "calibrate circles.png --pixel-pitch=-1,25 --pitch 280",
+            "calibrate circles.png --pixel-pitch=-1.25 --pitch 280",
             "--pixel-pitch must be positive, got -1.25",
         ),
-        # Commas that may separate thousands.
-        (f"{GRID} --pixel-pitch 126,000", "126,000 can be 126000 or 126.000"),
-        (f"{GRID} --pixel-pitch 1,500", "1,500 can be 1500 or 1.500"),
-        (f"{GRID} --pixel-pitch=-1,500", "-1,500 can be -1500 or -1.500"),
         *(
             (f"{GRID} --pixel-pitch {text}", f"--pixel-pitch: invalid number in µm value: '{text}'")
-            for text in ("126.000,5", "1,23,456", "1,500.0", "1,234,567")
+            for text in ("126,000", "1,25", "126.000,5", "1,500.0")  # a comma separates thousands
         ),
         (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
@@ -518,11 +514,11 @@ def test_unusual_scale_gives_a_note(line, given, tmp_path, capsys):
     ("given", "number"),
     [
         ("--force=10", 10), ("--force=10uN", 10), ("--force=1e4 nN", 10), ("--force=10e-6N", 10),
-        ("--pixel-size=0,01mm/px", 10), ("--thickness=12cm", 120000), ("--thickness=0,25", 0.25),
-        ("--thickness=12,5mm", 12500), ("--thickness=0,125", 0.125), ("--thickness=1.500", 1.5),
+        ("--pixel-size=0.01mm/px", 10), ("--thickness=12cm", 120000), ("--thickness=12.5mm", 12500),
+        ("--thickness=0.25", 0.25),
     ],
 )  # fmt: skip
-def test_number_can_have_a_unit_and_a_comma(given, number, tmp_path, capsys):
+def test_number_can_have_a_unit(given, number, tmp_path, capsys):
     """Scales are printed one by one, before that of the probe is rejected."""
     line = [*OUTLINE.split()[2:], given, "--probe-half-width=0", "-o", str(tmp_path / "out.csv")]
     assert main(["modulus", str(INPUTS / "outline.csv"), *line]) == 2

@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._command._shared import Files, add_scales, picture, resolve_scales, text
+from microlib._command._options import add_scales, resolve_scales
+from microlib._command._session import End, Session, picture, text
 from microlib._common import home_path
+
+#: Names of the files that it writes.
+FILES = ("camera.csv", "camera.json", "points.csv", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=["camera.csv", "camera.json", "points.csv", "look.png"])
     photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
     add_scales(parser, "pitch", "pixel_pitch", "focal_length")
@@ -25,7 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--marks", choices=marks, default=marks[0], help="kind of marks")
 
 
-def run(a: argparse.Namespace) -> Files:
+def run(a: argparse.Namespace, session: Session) -> End:
     """Magnification, pose and distortion of a microscope from photographs of a pattern.
 
     Example: microlib calibrate grid.png --pitch 200 --pixel-pitch 4.8 -o camera
@@ -37,28 +40,28 @@ def run(a: argparse.Namespace) -> Files:
 
     given = [name for name in ("pixel_pitch", "focal_length") if getattr(a, name) is not None]
     # A focal length in µm needs the pixel pitch.
-    resolve_scales(a, "pitch", *(sorted({"pixel_pitch", *given}) if given else []))
+    resolve_scales(a, session, "pitch", *(sorted({"pixel_pitch", *given}) if given else []))
     if not given:
-        a.note(
+        session.note(
             "without --pixel-pitch, lengths in the camera are in pixels of its sensor, not in µm"
         )
     paths = [home_path(name) for name in a.source]
     photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
-    a.protect(photos)
+    session.protect(photos)
     views: dict[Path, tuple[NDArray, Any]] = {}
 
     def leave_out(photo: Path, reason: object) -> str:
         views.pop(photo, None)
-        a.note(f"left out {photo}: {reason}")
+        session.note(f"left out {photo}: {reason}")
         return f"{photo}: {reason}"
 
     fault = ""
-    for photo in a.bar(photos, unit=" photos"):
+    for photo in session.bar(photos, unit=" photos"):
         try:
             image = read_grey(photo)
             name, found = detect_pattern(image, a.marks)
             views[photo] = image, found
-            a.say(f"{photo}: {name}: {found}")
+            session.say(f"{photo}: {name}: {found}")
         except ValueError as error:
             reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
             fault = leave_out(photo, reason)
@@ -80,32 +83,39 @@ def run(a: argparse.Namespace) -> Files:
                 )
         result = calibrate([each for _, each in views.values()], **scales)
     images, detections = zip(*views.values(), strict=True)
-    _advise(a, result, detections)
+    _advise(session, result, detections, a.focal_length is not None)
     tables = [each.to_frame().assign(photo=photo) for photo, (_, each) in views.items()]
-    yield "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
-    yield "camera.csv", text(result.to_frame().to_csv(lineterminator="\n"))
-    yield "camera.json", text(result.to_json())
-    yield "look.png", picture(partial(result.plot, found=detections, images=images))
-    a.say(result)
+    session.write(
+        "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
+    )
+    session.write("camera.csv", text(result.to_frame().to_csv(lineterminator="\n")))
+    session.write("camera.json", text(result.to_json()))
+    session.write("look.png", picture(partial(result.plot, found=detections, images=images)))
+    session.say(result)
+    return End()
 
 
-def _advise(a: argparse.Namespace, result: Any, found: Sequence[Any]) -> None:
+def _advise(session: Session, result: Any, found: Sequence[Any], focal_given: bool) -> None:
     """Note what to do about a calibration that is worth little."""
     shares = [np.ptp(each.points, axis=0).prod() / np.prod(each.image_size) for each in found]
     if max(shares) < 0.05:
-        a.note("the grid covers less than 5 % of the image: let it fill the image")
+        session.note("the grid covers less than 5 % of the image: let it fill the image")
     if not result.adequate:
         more = " Several photographs show more of the lens" * (len(found) == 1)
-        focal = "--focal-length that of the objective, " * (a.focal_length is not None)
+        focal = "--focal-length that of the objective, " * focal_given
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
-        a.note(f"the model does not fit the points: {suspects}{more}")
+        session.note(f"the model does not fit the points: {suspects}{more}")
     if np.isnan(result.misfit):
-        a.note(
+        session.note(
             "too few marks to test whether the model fits: the intervals contain only noise; "
             "photograph more marks"
         )
     if result.interval("magnification")[0] <= 0:
-        a.note("the magnification's interval reaches zero: photograph more marks, over more of it")
+        session.note(
+            "the magnification's interval reaches zero: photograph more marks, over more of it"
+        )
     elif result.undetermined:
         names = ", ".join(result.undetermined)
-        a.note(f"{names}: undetermined; give --focal-length, or tilt the pattern by 20° or more")
+        session.note(
+            f"{names}: undetermined; give --focal-length, or tilt the pattern by 20° or more"
+        )

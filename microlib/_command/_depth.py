@@ -10,7 +10,8 @@ from math import ceil, sqrt
 
 import numpy as np
 
-from microlib._command import _shared as shared
+from microlib._command import _options as options
+from microlib._command._session import End, Session, picture, text
 
 #: The maps, and what they contain.
 _MAPS = {
@@ -19,59 +20,63 @@ _MAPS = {
     "frame.ome.tif": "number of the frame nearest to focus, from 0; -1 where unknown",
     "all_in_focus.ome.tif": "every pixel from that frame",
 }
+#: Names of the files that it writes.
+FILES = (*_MAPS, "surface.ply", "summary.json", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=[*_MAPS, "surface.ply", "summary.json", "look.png"])
     stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame at each position"
     parser.add_argument("source", metavar="STACK", help=stack)
-    shared.add_scales(parser, "spacing", "pixel_size")
-    shared.add_axes(parser)
+    options.add_scales(parser, "spacing", "pixel_size")
+    options.add_axes(parser)
     parser.add_argument(
         "--register",
         action="store_true",
         help="correct motion, scale and brightness between frames",
     )
-    parser.add_argument("--region", help="part of the frames to use, px", **shared.BOX)
+    parser.add_argument("--region", help="part of the frames to use, px", **options.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="number of threads")
 
 
-def run(a: argparse.Namespace) -> shared.Files:
+def run(a: argparse.Namespace, session: Session) -> End:
     """Height of every pixel of a focal stack.
 
     Example: microlib depth scan.tif --spacing 25 --pixel-size 3.9 -o heights
     """
     from microlib import focus, io
 
-    frames = shared.open_frames(a)
+    frames = options.open_frames(a, session)
     if frames.count is not None and frames.count < 3:
         raise ValueError(f"{a.source} must hold three frames or more, got {frames.count}")
     z = frames.positions
     spacing = None if z is None else float(np.diff(z).mean())
-    scales = shared.resolve_scales(
-        a, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size
+    scales = options.resolve_scales(
+        a, session, "spacing", "pixel_size", spacing=spacing, pixel_size=frames.pixel_size
     )
-    options = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
-    options |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
-    with a.bar(unit=" frames") as bar:
+    how = {name: getattr(a, name) for name in ("register", "region", "reduce", "workers")}
+    how |= {"positions": z} if a.spacing is None else {"spacing": a.spacing}
+    with session.bar(unit=" frames") as bar:
 
         def progress(done: int, total: int | None) -> None:
             bar.total = total
             bar.update(done - bar.n)
 
-        found = focus.depth_from_focus(frames, **options, progress=progress)
+        found = focus.depth_from_focus(frames, **how, progress=progress)
     size = scales["pixel_size"] * a.reduce
     found = replace(found, pixel_size=size)
     maps = (found.depth, found.uncertainty, found.index, found.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
-        yield name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
+        session.write(
+            name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
+        )
     sharp = found.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
     step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more vertices are slow to show
     mesh = {"height": found.depth[::step, ::step], "image": grey[::step, ::step]}
-    yield "surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step)
+    session.write("surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step))
     summary = found.to_dict() | scales | {"pixel_size": size}
-    yield "summary.json", shared.text(json.dumps(summary, indent=2))
-    yield "look.png", shared.picture(found.plot)
-    a.say(found)
+    session.write("summary.json", text(json.dumps(summary, indent=2)))
+    session.write("look.png", picture(found.plot))
+    session.say(found)
+    return End()

@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from microlib._command._shared import Files, add_scales, picture, resolve_scales, text
+from microlib._command._options import add_scales, resolve_scales
+from microlib._command._session import End, Session, picture, text
 from microlib._common import home_path
+
+#: Names of the files that it writes.
+FILES = ("table", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=["table", "look.png"])
     outline = "table with columns x and y, or col and row, or two columns; px, or µm (x_um, y_um)"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
     add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
@@ -23,7 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(a: argparse.Namespace) -> Files:
+def run(a: argparse.Namespace, session: Session) -> End:
     """Young's modulus of a membrane from the outline of its dimple, as in section 5.6.
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
@@ -33,12 +36,12 @@ def run(a: argparse.Namespace) -> Files:
     from microlib.embryo import dimple_from_outline, read_outline
 
     file = home_path(a.source)
-    a.protect([file])
+    session.protect([file])
     table = read_outline(file)
     if table.pixel_size is not None and a.pixel_size not in (None, table.pixel_size):
         raise ValueError(f"{a.source} has its points in a unit of length: leave out --pixel-size")
     scales = "force", "pixel_size", "thickness", "probe_half_width", "poisson_ratio"
-    values = resolve_scales(a, *scales, pixel_size=table.pixel_size)
+    values = resolve_scales(a, session, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
     stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
     down = a.y_down or table.y_down
@@ -47,22 +50,25 @@ def run(a: argparse.Namespace) -> Files:
         if a.y_down:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
         seen = "up" if down else "down"
-        a.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
+        session.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
     left, left_text = _estimate(measured.left, values, stds)
     right, right_text = _estimate(measured.right, values, stds)
     low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))
     if max(left[low], right[low]) > min(left[high], right[high]):
-        a.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
+        session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
     summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
-    a.say(summary)
+    session.say(summary)
     result = left | {f"right_{name}": value for name, value in right.items()}
     lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
-    yield "table", text("\n".join(lines))
+    session.write("table", text("\n".join(lines)))
     points = {"left rim": measured.left.rim, "bottom": measured.left.bottom}
     points["right rim"] = measured.right.rim
     drawn = partial(outline, measured.x, measured.y, measured.curve, points, summary)
-    yield "look.png", picture(drawn)
-    a.say("The table has the modulus, its interval, and the values that it was computed from.")
+    session.write("look.png", picture(drawn))
+    session.say(
+        "The table has the modulus, its interval, and the values that it was computed from."
+    )
+    return End()
 
 
 def _estimate(

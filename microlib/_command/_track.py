@@ -10,24 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from microlib._command import _shared as shared
+from microlib._command import _options as options
+from microlib._command._session import End, Session, picture
+
+#: Names of the files that it writes.
+FILES = ("table", "look.png", "look.mp4")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(files=["table", "look.png", "look.mp4"])
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
     box = "box around the part in the first frame, px"
-    parser.add_argument("--box", required=True, help=box, **shared.BOX)
+    parser.add_argument("--box", required=True, help=box, **options.BOX)
     motions = ["translation", "affine", "homography"]
     parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
-    shared.add_scales(parser, "pixel_size")
-    shared.add_axes(parser)
+    options.add_scales(parser, "pixel_size")
+    options.add_axes(parser)
     film = "also write a film that marks the part, with 25 frames/s unless --rate is given"
     parser.add_argument("--video", action="store_true", help=film)
 
 
-def run(a: argparse.Namespace) -> shared.Files:
+def run(a: argparse.Namespace, session: Session) -> End:
     """Position of a part in every frame of a film.
 
     Example: microlib track film.avi --box 30 40 64 64 --rate 33 -o track.csv
@@ -36,19 +39,18 @@ def run(a: argparse.Namespace) -> shared.Files:
 
     from microlib import tracking
 
-    frames = shared.open_frames(a)
+    frames = options.open_frames(a, session)
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
-        shared.resolve_scales(a, "pixel_size", pixel_size=frames.pixel_size)
+        options.resolve_scales(a, session, "pixel_size", pixel_size=frames.pixel_size)
     each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size)
     rows, lost = [next(each)], 0
     if a.rate is not None:
-        a.say(f"rate {a.rate:g} frames/s (given)")
+        session.say(f"rate {a.rate:g} frames/s (given)")
     stop: BaseException | None = None
-    a.out.parent.mkdir(parents=True, exist_ok=True)
     with (
-        a.out.open("w", 1, encoding="utf-8", newline="") as file,
-        a.bar(each, initial=1, total=frames.count, unit=" frames") as bar,
+        session.open_lines("table") as file,
+        session.bar(each, initial=1, total=frames.count, unit=" frames") as bar,
     ):
         # Each row at once, so that a killed process leaves the rows so far.
         table = csv.DictWriter(file, rows[0], lineterminator="\n")
@@ -63,19 +65,21 @@ def run(a: argparse.Namespace) -> shared.Files:
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
     track = pd.DataFrame(rows)
-    yield "look.png", shared.picture(lambda: tracking.plot_track(track, next(iter(frames))))
+    session.write("look.png", picture(lambda: tracking.plot_track(track, next(iter(frames)))))
     if a.video:
-        yield "look.mp4", partial(_write_film, frames, track, a.rate or 25)
+        session.write("look.mp4", partial(_write_film, frames, track, a.rate or 25))
     summary = f"lost in {lost} of {len(rows)} frames"
     physical = ", x_um and y_um in µm" * (size is not None)
-    a.say(f"{summary}; one row per frame, lengths in px{physical}")
+    session.say(f"{summary}; one row per frame, lengths in px{physical}")
     if stop is not None:
-        status = 130 if isinstance(stop, KeyboardInterrupt) else 3
-        kept = a.out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C can precede the counting
-        a.end = status, f"{str(stop) or 'stopped'}; {a.out} keeps the {kept} rows so far"
-    elif lost > len(rows) / 2:
+        out = session.files["table"]
+        kept = out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C can precede the counting
+        reason = f"{str(stop) or 'stopped'}; {out} keeps the {kept} rows so far"
+        return End(130 if isinstance(stop, KeyboardInterrupt) else 3, reason)
+    if lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
-        a.end = 4, f"{summary}: try {remedy}"
+        return End(4, f"{summary}: try {remedy}")
+    return End()
 
 
 def _write_film(frames: Any, track: Any, rate: float, path: Path) -> None:

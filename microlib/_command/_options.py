@@ -1,18 +1,17 @@
-"""Options, numbers with units, frames, texts and pictures of all commands."""
+"""Options of all commands: scales, which are numbers with units, and the choice of frames."""
 
 from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from microlib._common import MEASURED, SOFTWARE, find_scales, scalar
+from microlib._command._session import Session, option
+from microlib._common import MEASURED, scalar
 
-#: Writes a file; a task yields one for each name of its files.
-Writer = Callable[[Path], object]
-Files = Iterator[tuple[str, Writer]]
+if TYPE_CHECKING:
+    from microlib.io import Stack
 
 #: Prefixes of a unit, relative to the micro-units of the library.
 _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
@@ -41,10 +40,6 @@ BOX: dict[str, Any] = {"nargs": 4, "type": int, "metavar": ("X", "Y", "W", "H")}
 _SIGNED = ("spacing", "poisson_ratio")
 
 
-def option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
-
-
 def add_scales(parser: argparse.ArgumentParser, *names: str) -> None:
     """Add an option for each of these scales."""
     for name in names:
@@ -57,42 +52,33 @@ def _quantity(unit: str) -> Callable[[str], float]:
 
     def read(text: str) -> float:
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
-        number = _plain_number(text[: own.start() if own else None])
+        number = float(text[: own.start() if own else None])
         return number * _PREFIXES[own[1]] if own else number
 
     read.__name__ = f"number in {unit}"  # as argparse calls it
     return read
 
 
-def _plain_number(text: str) -> float:
-    """Return a number with a decimal point or comma; reject one such as 126,000."""
-    decimal = text.replace(",", ".")
-    if re.fullmatch(r"\s*[+-]?[1-9]\d{0,2},\d{3}", text):
-        plain = text.replace(",", "")
-        raise argparse.ArgumentTypeError(f"{text} can be {plain} or {decimal}: write one of them")
-    return float(decimal)
-
-
 def resolve_scales(
-    a: argparse.Namespace, *names: str, **from_file: float | None
+    a: argparse.Namespace, session: Session, *names: str, **from_file: float | None
 ) -> dict[str, float]:
     """Return and print each scale, as given or from the file; raise if a scale is missing."""
-    given = {name: getattr(a, name) for name in names}
-    found = find_scales(given, {"the file": from_file})
-    missing = [f"{option(name)} {_SCALES[name][0]}" for name in names if name not in found]
+    given = {name: value for name in names if (value := getattr(a, name)) is not None}
+    scales: dict[str, Any] = {name: given.get(name, from_file.get(name)) for name in names}
+    missing = [f"{option(n)} {_SCALES[n][0]}" for n, value in scales.items() if value is None]
     if missing:
         raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
-    for name, (value, source) in found.items():
+    for name, value in scales.items():
         unit = _SCALES[name][0]
         scalar(name, value, above=None if name in _SIGNED else 0)
-        a.say(f"{name} {value:g} {unit} ({source})")
+        session.say(f"{name} {value:g} {unit} ({'given' if name in given else 'the file'})")
         low, high = MEASURED.get(unit, (0, 1))
         if not low <= abs(value) <= high:
-            a.note(
+            session.note(
                 f"{option(name)} {value:g} is unusual under a microscope, expected {low:g} to "
                 f"{high:g} {unit}; a number can have a unit, as 0.2mm"
             )
-    return {name: value for name, (value, _) in found.items()}
+    return scales
 
 
 def add_axes(parser: argparse.ArgumentParser) -> None:
@@ -103,29 +89,14 @@ def add_axes(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def open_frames(a: argparse.Namespace) -> Any:
-    """Return a reader of the frames, whose files are printed and cannot be overwritten."""
+def open_frames(a: argparse.Namespace, session: Session) -> Stack:
+    """Return the frames, whose files are printed and cannot be overwritten."""
     from microlib.io import read_frames
 
     choice = {name: getattr(a, name) for name in ("channel", "time", "series")}
     frames = read_frames(a.source, color=True, **choice)
-    a.protect(frames.files)
+    session.protect(frames.files)
     if len(frames.files) > 1:
-        a.say(f"{len(frames.files)} files, from {frames.files[0].name} to {frames.files[-1].name}")
+        first, *_, last = frames.files
+        session.say(f"{len(frames.files)} files, from {first.name} to {last.name}")
     return frames
-
-
-def text(content: str) -> Writer:
-    return lambda file: file.write_text(content, encoding="utf-8", newline="\n")
-
-
-def picture(draw: Callable[[], Any]) -> Writer:
-    """Return a writer that draws the figure."""
-
-    def write(file: Path) -> None:
-        from microlib._plots import default_style
-
-        with default_style():
-            draw().savefig(file, dpi=150, metadata={"Software": SOFTWARE})
-
-    return write
