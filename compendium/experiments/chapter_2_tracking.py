@@ -1,7 +1,7 @@
-"""Chapter 2: one step of ESM and one of the Kalman filter, taken apart to be drawn.
+"""Chapter 2: the steps of ESM and of the Kalman filter, one by one, for the figures.
 
-The minimization is written out here by its equations, for the text; `microlib.tracking` has its
-own, which a test holds against this one.
+The minimization is written here by its equations, for the text. A test compares the minimization of
+`microlib.tracking` with this one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from microlib.tracking import ESMTracker, KalmanFilter
 
 #: Half the side of the template, px, and the middle of the image, (x, y) in px.
 HALF, MIDDLE = 32, np.array([80.0, 80.0])
-#: Rim of the template, px, that is not compared: its derivatives would reach over its edge.
+#: Rim of the template, px, that is not compared, because its derivatives would need pixels beyond
+#: the edge.
 RIM = 4
 #: Which gradients make the step: shares of the template's and of the warped image's.
 GRADIENTS = {"template": (1.0, 0.0), "image": (0.0, 1.0), "mean of both (ESM)": (0.5, 0.5)}
@@ -49,7 +50,7 @@ class Target:
 
 
 def render_target(seed: int, noise: float = 2.0) -> Target:
-    """Draw the square on a plain ground, moved by 6 px, turned and stretched."""
+    """Render the square on a plain ground, moved by 6 px, turned and stretched."""
     rng = np.random.default_rng(seed)
     side = 2 * HALF + 1
     texture = gaussian_filter(mixed_texture((side, side), rng).astype(float), 2.0)
@@ -80,7 +81,7 @@ def corners(warp: NDArray) -> NDArray:
 
 
 def align(target: Target, gradients: tuple[float, float], iterations: int) -> list[NDArray]:
-    """Minimize the difference between template and warped image, from where it was before.
+    """Minimize the difference between template and warped image, from the pose before the motion.
 
     Parameters
     ----------
@@ -89,12 +90,12 @@ def align(target: Target, gradients: tuple[float, float], iterations: int) -> li
     gradients : tuple of float
         Shares of the gradients of the template and of the warped image, as in `GRADIENTS`.
     iterations : int
-        Steps.
+        Number of steps.
 
     Returns
     -------
     list of ndarray
-        The warp at the start, which is none, and after each step.
+        The identity, from which the minimization starts, and the warp after each step.
     """
     inside = np.s_[..., RIM:-RIM, RIM:-RIM]
     template = target.template
@@ -108,8 +109,8 @@ def align(target: Target, gradients: tuple[float, float], iterations: int) -> li
         slopes = [np.stack([*np.gradient(g, steps, steps)][::-1]) for g in (template, current)]
         slope = gradients[0] * slopes[0] + gradients[1] * slopes[1]
         change = np.einsum("irc,nirc->rcn", slope[inside], moves[inside])
-        jacobian, missing = change.reshape(-1, len(MOTIONS)), (template - current)[inside].ravel()
-        step = np.linalg.lstsq(jacobian, missing, rcond=None)[0]
+        jacobian, residual = change.reshape(-1, len(MOTIONS)), (template - current)[inside].ravel()
+        step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
         warps.append(warps[-1] @ expm(np.einsum("n,nij->ij", step, MOTIONS)))
     return warps
 
@@ -138,15 +139,15 @@ def order_of_convergence(errors: NDArray) -> float:
 
 
 def library_error(seed: int) -> float:
-    """Return by how much (px) `ESMTracker` misses the corners of the square without noise."""
+    """Return the error (px) of the corners that `ESMTracker` finds in the square without noise."""
     target = render_target(seed, noise=0.0)
     first = np.full(target.image.shape, 60.0, np.float32)
     side, (left, top) = 2 * HALF + 1, (MIDDLE - HALF).astype(int)
     first[top : top + side, left : left + side] = target.template
     box = (int(left) + RIM, int(top) + RIM, side - 2 * RIM, side - 2 * RIM)
-    found = ESMTracker(first, box, "affine").track(target.image.astype(np.float32))
+    track = ESMTracker(first, box, "affine").track(target.image.astype(np.float32))
     inner = np.diag([1 - RIM / HALF, 1 - RIM / HALF, 1.0])
-    return float(np.abs(found.corners - corners(target.warp @ inner)).max())
+    return float(np.abs(track.corners - corners(target.warp @ inner)).max())
 
 
 def kalman_track(
@@ -157,7 +158,7 @@ def kalman_track(
     Parameters
     ----------
     seed : int
-        Of the noise.
+        Seed of the noise.
     interval, acceleration, noise : float
         As for `KalmanFilter`: s, px/s², px. The motion's acceleration is as large as stated.
 
@@ -165,7 +166,8 @@ def kalman_track(
     -------
     track : DataFrame
         A row each frame: ``frame``, ``true``, ``measured``, ``predicted``, ``estimated`` (px), and
-        the standard deviations of the last two, ``predicted_std`` and ``estimated_std``.
+        the standard uncertainties of the last two, ``predicted_uncertainty`` and
+        ``estimated_uncertainty``.
     states : DataFrame
         After each frame x, v and P by the library, and minus those by the formulas.
     """
@@ -179,17 +181,18 @@ def kalman_track(
     state, p = np.array([measured[0], 0.0]), kalman.covariance
     rows, states = [], []
     for frame in range(1, len(times)):
-        predicted, std = kalman.predict()[0], np.sqrt(kalman.covariance[0, 0])
+        predicted, predicted_uncertainty = kalman.predict()[0], np.sqrt(kalman.covariance[0, 0])
         kalman.update((measured[frame], 0.0))
-        found, error = kalman.position[0], np.sqrt(kalman.covariance[0, 0])
-        rows.append([frame, true[frame], measured[frame], predicted, found, std, error])
+        estimated, uncertainty = kalman.position[0], np.sqrt(kalman.covariance[0, 0])
+        positions = [true[frame], measured[frame], predicted, estimated]
+        rows.append([frame, *positions, predicted_uncertainty, uncertainty])
         state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
         gain = p[:, 0] / (p[0, 0] + noise**2)
         state, p = state + gain * (measured[frame] - state[0]), p - np.outer(gain, p[0])
-        library = [found, kalman.velocity[0], *kalman.covariance.ravel()]
+        library = [estimated, kalman.velocity[0], *kalman.covariance.ravel()]
         states.append([*library, *np.array(library) - [*state, *p.ravel()]])
     names = ["frame", "true", "measured", "predicted", "estimated"]
-    names += ["predicted_std", "estimated_std"]
+    names += ["predicted_uncertainty", "estimated_uncertainty"]
     parts = ["x", "v", "P11", "P12", "P21", "P22"]
     columns = parts + [f"{part}, library − formula" for part in parts]
     return pd.DataFrame(rows, columns=names), pd.DataFrame(states, columns=columns)

@@ -1,4 +1,4 @@
-"""A template through a whole film: a row a frame, the table of them, and its picture."""
+"""Track a template through a film: a row for each frame, the table of all rows, and its picture."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def track_each(
     pixel_size: float | None = None,
     kalman: KalmanFilter | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Track a template through a film, and give a row for each frame as it is done.
+    """Track a template through a film and yield a row for each frame as soon as it is tracked.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def track_each(
     rate : float, optional
         Frames per second, for the column ``time_s``.
     pixel_size : float, optional
-        Side of a pixel, µm, for the columns ``x_um`` and ``y_um``: the way of the center from where
-        it is in the first frame.
+        Side of a pixel in the object plane, µm, for the columns ``x_um`` and ``y_um``: the
+        displacement of the center since the first frame.
 
     Yields
     ------
     dict
-        The number of the frame and what `Track.to_dict` gives; where the template is lost nothing
-        but the `reason`.
+        The number of the frame and the result of `Track.to_dict`. If the template is lost, most
+        values are None.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def track_each(
     0.05 s: 5.0 µm
     0.1 s: 10.0 µm
     """
-    every = None if rate is None else 1 / scalar("rate", rate, above=0)
+    interval = None if rate is None else 1 / scalar("rate", rate, above=0)
     size = None if pixel_size is None else scalar("pixel_size", pixel_size, above=0)
     if not np.iterable(frames):
         raise ValueError(f"frames must be images one after another, got {frames!r:.80}")
@@ -80,11 +80,11 @@ def track_each(
             tracker.kalman = kalman  # it has nothing to predict in the first frame
         else:
             track = tracker.track(frame)
-        row = {"frame": number} | ({} if every is None else {"time_s": number * every})
+        row = {"frame": number} | ({} if interval is None else {"time_s": number * interval})
         row |= track.to_dict()
         if size is not None:
-            way: Any = (None, None) if track.lost else (size * (track.center - start)).tolist()
-            row |= dict(zip(("x_um", "y_um"), way, strict=True))
+            x, y = (size * (track.center - start)).tolist()
+            row |= {"x_um": None, "y_um": None} if track.lost else {"x_um": x, "y_um": y}
         yield row
     if tracker is None:
         raise ValueError("frames must hold at least one, got none")
@@ -132,7 +132,7 @@ def track_all(
     >>> table["center_x"].diff().round(1).tolist()[1:]
     [2.5, 2.5]
     """
-    import pandas as pd  # here, for it takes a third of the time that importing a subject takes
+    import pandas as pd  # imported here because it takes long
 
     rows: list[dict[str, Any]] = []
     problem = ""
@@ -150,16 +150,16 @@ def track_all(
 
 
 def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
-    """Draw a track by Matplotlib: its way over a frame, and its position against time.
+    """Draw a track by Matplotlib: its path over a frame, and its position against time.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        What `track_all` returns, or a table of rows of `track_each`.
+        The result of `track_all`, or a table of rows of `track_each`.
     image : array_like, shape (H, W) or (H, W, 3)
         A frame of the film, for example the first one.
     ax : matplotlib.axes.Axes, optional
-        Where to draw the way alone; by default both are panels of a new figure.
+        Axes in which only the path is drawn. By default both are panels of a new figure.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
     Raises
     ------
     ValueError
-        If the table is none of a track, or the template is lost in all of its frames.
+        If the table is not that of a track, or the template is lost in all of its frames.
 
     Examples
     --------

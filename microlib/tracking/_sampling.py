@@ -18,9 +18,9 @@ _HALF_SAMPLE = np.array([[3, -25, 150, 150, -25, 3]], np.float32) / 256
 #: Fourth-order central difference, and the pixels that it needs on either side.
 _DIFFERENCE, _MARGIN = np.array([[1, -8, 0, 8, -1]], np.float32) / 12, 2
 
-#: OpenCV before version 5 rounds the places between pixels to 1/32 px. That costs nothing but at
-#: the last level, which is not smoothed: there it leaves 0.008 instead of 0.004 px.
-_ROUNDS = int(cv2.__version__.split(".")[0]) < 5
+#: OpenCV before version 5 rounds positions between pixels to 1/32 px. This matters only at the last
+#: level, which is not smoothed: the error is there 0.008 instead of 0.004 px.
+_ROUNDS_POSITIONS = int(cv2.__version__.split(".")[0]) < 5
 
 
 class SearchFrame:
@@ -89,21 +89,21 @@ def sample(
     size : tuple of int
         Width and height of the patch.
     exact : bool
-        Whether to interpolate at the exact place, with any version of OpenCV.
+        Whether to interpolate at the exact position with any version of OpenCV.
 
     Returns
     -------
     patch : ndarray, shape (height, width)
-        Beyond the image its nearest pixel.
+        The patch. Beyond the image it repeats the nearest pixel of the image.
     inside : ndarray of bool, shape (height, width)
-        Whether the image shows a pixel.
+        Whether the image shows a pixel of the patch.
     """
     place = warp.astype(np.float32) @ _grid(*size)
     place = place[:2] / np.maximum(place[2], np.float32(TINY))
     last = np.array([[image.shape[1] - 1], [image.shape[0] - 1]], np.float32)
     inside = ((place >= 0) & (place <= last)).all(axis=0).reshape(size[::-1])
     x, y = np.clip(place, 0, last).reshape(2, *size[::-1])
-    if exact and _ROUNDS:
+    if exact and _ROUNDS_POSITIONS:
         return ndimage.map_coordinates(image, [y, x], order=1, mode="nearest"), inside
     return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), inside
 

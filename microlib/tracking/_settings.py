@@ -116,7 +116,7 @@ class TrackerSettings:
     smoothing: float = 1.25
     min_visible: float = 0.25
     min_correlation: float = 0.7
-    max_iterations: int = 6
+    max_iterations: int = 8
     rough_tolerance: float = 0.5
     tolerance: float = 0.05
     robust_tolerance: float = 0.01

@@ -24,7 +24,7 @@ class Candidate:
     Attributes
     ----------
     fit : Alignment
-        Pose, gain, bias and correlation; a `PhotometricFit` if the photometric model was fitted.
+        Pose, gain, bias and correlation.
     confidence : float
         Probability that the pose is right within a pixel.
     corner_covariance : ndarray, shape (8, 8)
@@ -40,6 +40,11 @@ class Candidate:
     corner_covariance: Array
     hidden: NDArray[np.bool_]
     reason: str
+
+    @property
+    def photometric(self) -> PhotometricFit | None:
+        """The fit, if it is one of the photometric model."""
+        return self.fit if isinstance(self.fit, PhotometricFit) else None
 
 
 def judge_plain(template: SearchTemplate, plain: Alignment) -> Candidate:
@@ -64,15 +69,13 @@ def judge_photometric(
     covariance *= settings.covariance_factor
     sigma = largest_sigma(covariance)
     clear = sigma < settings.max_sigma and fit.noise < settings.max_residual and fit.blocks.agree()
-    near = plain is not None and template.distance(fit.pose, plain.pose) < settings.max_difference
-    certain = clear or (
-        near
-        and sigma < settings.max_difference
-        and blocks_agree(template, plain, settings.changed_ground)
-    )
+    if plain is not None and not clear:
+        difference = max(template.distance(fit.pose, plain.pose), sigma)
+        confirms = blocks_agree(template, plain, settings.changed_ground)
+        clear = confirms and difference < settings.max_difference
     size = template.shape[::-1]
     hidden = cv2.resize(fit.hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return Candidate(fit, float(certain), covariance, hidden, fit.reason or "no agreement")
+    return Candidate(fit, float(clear), covariance, hidden, fit.reason or "no agreement")
 
 
 def blocks_agree(template: SearchTemplate, plain: Alignment, limit: tuple[float, float]) -> bool:

@@ -153,7 +153,7 @@ class Search:
         return [fine.align(layer, poses[k], tolerance=tolerance).pose for k in beam]
 
     def best_candidate(
-        self, starts: Sequence[Array], before: Sequence[Candidate]
+        self, starts: list[Array], before: Sequence[Candidate]
     ) -> tuple[Candidate, float] | None:
         """Return the best pose to which some starts lead, or None.
 
@@ -164,9 +164,10 @@ class Search:
         scores = [template.score(frame, start) for start in starts]
         beam = template.different(starts, scores)[: settings.beam]
         least = max([settings.least_score, *(settings.beam_share * scores[k] for k in beam)])
-        fits = [template.align_best_blur(frame, starts[k]) for k in beam if scores[k] >= least]
-        fits = [candidate.fit for candidate in before] + fits
-        fits = [fit for fit in fits if isinstance(fit, PhotometricFit)]
+        good = [k for k in beam if scores[k] >= least]
+        aligned = [template.align_best_blur(frame, starts[k]) for k in good]
+        aligned += [candidate.photometric for candidate in before]
+        fits = [fit for fit in aligned if fit is not None]
         if not fits:
             return None
         scores = [fit.blocks.score() for fit in fits]

@@ -16,9 +16,9 @@ from microlib.tracking._sampling import padding, sample
 
 
 class PointFlow:
-    """The template's points, to be followed by pyramidal Lucas–Kanade in local contrast.
+    """Points of the template that pyramidal Lucas–Kanade follows in images of local contrast.
 
-    Local contrast leaves neither a shadow nor a highlight, but for their edges.
+    Of a shadow or a highlight, an image of local contrast shows only the edges.
     """
 
     def __init__(self, level: Level, image: Image, pose: Array, margin: int) -> None:
@@ -53,7 +53,7 @@ class PointFlow:
         return inlier_ratio, None if motion is None else motion @ pose
 
     def flow_pose(self, image: Image, pose: Array) -> Array | None:
-        """Return the pose that most points agree in when they are followed from a pose."""
+        """Return the pose in which most points agree when they are followed from a pose."""
         motion = self._motion(*self._followed(image, pose), len(self._level.basis))
         return None if motion is None else motion @ pose
 
@@ -91,7 +91,7 @@ class PointFlow:
         warp = level.to_image @ pose @ level.to_template @ begin
         seen, _ = sample(image, warp, (columns + 2 * margin, rows + 2 * margin))
         off = seen - cv2.GaussianBlur(seen, (0, 0), 4)
-        # A tenth of the template's contrast is noise; the usual contrast is 40 of 255 levels.
+        # A tenth of the template's contrast counts as noise; the usual contrast becomes 40 levels.
         faint = max(level.contrast / 10, TINY) ** 2
         size = np.sqrt(cv2.GaussianBlur(off * off, (0, 0), 4) + faint)
         return np.clip(128 + 40 * off / size, 0, 255).astype(np.uint8)
@@ -120,7 +120,7 @@ def ncc_peaks(
 
     The peaks in an image of the template's level are at least `least` and so many px `apart`.
     """
-    from skimage.feature import peak_local_max  # here, for importing it takes long
+    from skimage.feature import peak_local_max  # imported here because it takes long
 
     if min(np.subtract(image.shape, level.grey.shape)) < 0:
         return []
