@@ -125,7 +125,7 @@ def judged(kind: str, seeds: int, size: float, **change: Any) -> dict[str, float
         good = distance < PITCH / 10
         found, wrong = found + int(good.sum()), wrong + int((~good).sum())
         errors.append((result.points - truth[index])[good].ravel())
-        stated.append(result.sigma[good])
+        stated.append(result.uncertainty[good])
     error = rms(np.concatenate(errors)) if errors else np.nan
     sigma = rms(np.concatenate(stated)) if errors else np.nan
     return {

@@ -27,7 +27,7 @@ class Detection(Result):
         Image points (x, y), px.
     grid : ndarray of int, shape (N, 2)
         Integer coordinates in the pattern, from zero.
-    sigma : ndarray, shape (N,)
+    uncertainty : ndarray, shape (N,)
         Standard deviation of a coordinate of each point, px, from the fit of its outline or from
         the residuals of the points, whichever is larger.
     group : ndarray of int, shape (N,)
@@ -37,20 +37,20 @@ class Detection(Result):
         pitch in µm they are world points up to a shift. For squares they include the measured side.
     side : float
         Side of the squares in pitches; NaN for circles.
-    misfit : float
-        Residuals of the points over the standard deviations by the fits of their outlines, about
-        one for a pattern without faults. NaN for too few marks.
+    normalized_rms : float
+        Rms of the residuals over the standard deviations by the fits of the outlines, about one for
+        a pattern without faults. NaN for too few marks.
     image_size : tuple of int
         Width and height of the photograph, px.
     """
 
     points: Array
     grid: NDArray[np.intp]
-    sigma: Array
+    uncertainty: Array
     group: NDArray[np.intp]
     positions: Array
     side: float
-    misfit: float
+    normalized_rms: float
     image_size: tuple[int, int]
 
     def __repr__(self) -> str:
@@ -58,7 +58,7 @@ class Detection(Result):
         return (
             f"Detection of {len(self.points)} points of {len(np.unique(self.group))} marks in "
             f"{self.image_size[0]}×{self.image_size[1]} px{side}, "
-            f"σ {np.median(self.sigma):.2g} px, misfit {self.misfit:.2g}"
+            f"σ {np.median(self.uncertainty):.2g} px, residuals {self.normalized_rms:.2g} σ"
         )
 
     def to_frame(self) -> pd.DataFrame:
@@ -68,14 +68,14 @@ class Detection(Result):
         -------
         pandas.DataFrame
             One row for each point: ``grid_i``, ``grid_j``, ``positions_x``, ``positions_y``,
-            ``points_x`` and ``points_y`` (px), ``sigma`` (px), ``group``.
+            ``points_x`` and ``points_y`` (px), ``uncertainty`` (px), ``group``.
         """
         import pandas as pd  # here, as it takes long to import
 
         pairs = {"grid": self.grid, "positions": self.positions, "points": self.points}
         names = {"grid": "ij", "positions": "xy", "points": "xy"}
         columns = {f"{k}_{n}": v[:, i] for k, v in pairs.items() for i, n in enumerate(names[k])}
-        return pd.DataFrame(columns | {"sigma": self.sigma, "group": self.group})
+        return pd.DataFrame(columns | {"uncertainty": self.uncertainty, "group": self.group})
 
     def plot(self, ax: Any = None, *, image: NDArray | None = None) -> Any:
         """Draw the points, some with their grid coordinates, by Matplotlib.

@@ -10,10 +10,11 @@ import skimage.data
 from scipy.spatial import cKDTree
 
 from microlib.calibration import detect_circles, detect_micrometer, detect_pattern, detect_squares
-from microlib.calibration.detection import _corners as corners
-from microlib.calibration.detection import _patterns as patterns
-from microlib.calibration.detection import _shapes as shapes
-from microlib.calibration.detection._settings import Settings
+from microlib.calibration.detection import _lattice as lattice
+from microlib.calibration.detection import _pattern as patterns
+from microlib.calibration.detection._boards import Chessboard
+from microlib.calibration.detection._image import GreyImage
+from microlib.calibration.detection._settings import DetectionSettings
 from tests.calibration.scenes import PHOTOGRAPHS, SQUARE, board, camera, chessboard
 
 DETECT = {"circle": detect_circles, "square": detect_squares}
@@ -53,7 +54,7 @@ def rms(values: np.ndarray) -> float:
 
 def over_sigma(found, truth: np.ndarray) -> float:
     """RMS error over the stated standard deviation."""
-    return rms(errors(found, truth)) / rms(found.sigma)
+    return rms(errors(found, truth)) / rms(found.uncertainty)
 
 
 # Accuracy
@@ -227,7 +228,7 @@ def test_images_without_a_pattern_are_rejected(shown, detect):
 
 
 def test_message_of_detect_pattern_has_the_reason_for_each_kind():
-    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a charuco, .*; .* marks"):
+    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a ChArUco board, .*; .* got none"):
         detect_pattern(NO_PATTERN["noise"])
 
 
@@ -279,13 +280,14 @@ def test_four_circles_are_rejected_where_other_regions_remain(image):
 def test_sublattice_is_rejected_by_its_correlation(monkeypatch):
     """A lattice of every second mark (simulated here) is refused, since the image differs from the
     drawn pattern."""
-    grown, turn = patterns.grow_lattices, np.array([[1, 1], [-1, 1]])
+    grow, turn = lattice.grow_lattices, np.array([[1, 1], [-1, 1]])
 
-    def skipping(marks):
-        pieces = [(m, g, g.sum(axis=1) % 2 == 0) for m, g in grown(marks)]
-        return [(m[even], g[even] @ turn // 2) for m, g, even in pieces]
+    def skipping(*given):
+        for piece in grow(*given):
+            even = piece.grid.sum(axis=1) % 2 == 0
+            yield piece._replace(marks=piece.marks[even], grid=piece.grid[even] @ turn // 2)
 
-    monkeypatch.setattr(patterns, "grow_lattices", skipping)
+    monkeypatch.setattr(lattice, "grow_lattices", lambda *given: list(skipping(*given)))
     with pytest.raises(ValueError, match="got a correlation of"):
         detect_circles(PHOTOGRAPHS["circles"])
 
@@ -297,14 +299,15 @@ def test_corners_that_coincide_are_no_board():
     """A cell between them has no area; a photograph of a board led to a division by it."""
     grey = np.random.default_rng(0).normal(100, 20, (80, 100)).astype(np.float32)
     centers, grid = np.repeat([[10.0, 10], [20, 20]], 2, axis=0), np.indices((2, 2)).reshape(2, 4).T
+    board = Chessboard(DetectionSettings())
     with pytest.raises(ValueError, match="no corner of a board is left"):
-        corners._correlated(grey, centers, grid, "chessboard", Settings())
+        board._correlated(GreyImage.from_levels(grey), centers, grid)
 
 
 def test_message_about_corners_that_do_not_fit_speaks_of_corners(monkeypatch):
     image, *_ = chessboard()
     count = len(detect_squares(image, pattern="chessboard").points)
-    monkeypatch.setattr(shapes, "MIN_MARKS", count + 1)
+    monkeypatch.setattr(patterns, "MIN_MARKS", count + 1)
     with pytest.raises(ValueError, match=f"the corners of a chessboard, got {count} that fit"):
         detect_squares(image, pattern="chessboard")
 
@@ -313,13 +316,13 @@ def test_sigma_is_that_of_the_residuals_if_larger():
     """The circles of a board are displaced by 0.1 px along each axis."""
     shifted = SQUARE + np.random.default_rng(3).normal(0, 0.1 / 34, SQUARE.shape)
     found = detect_circles(board(shifted)[0])
-    assert found.misfit > 5
+    assert found.normalized_rms > 5
     # `board` puts the middle of the extreme marks at the middle of the image.
     truth = camera(SQUARE - (shifted.max(axis=0) + shifted.min(axis=0)) / 2)
     # 70 coordinates − 25 parameters = 45 degrees of freedom: σ to 11 %. The prior weight of 8
     # residuals lowers it by 8 %.
     assert over_sigma(found, truth) == pytest.approx(1.0, abs=0.2)
-    assert detect_circles(board(SQUARE)[0]).misfit < 1.5
+    assert detect_circles(board(SQUARE)[0]).normalized_rms < 1.5
 
 
 @pytest.mark.parametrize("kind", DETECT)
@@ -336,7 +339,7 @@ def test_displaced_mark_is_an_outlier(kind, stray):
     truth = every[: -1 if kind == "circle" else -4]
     assert len(found.points) == len(truth)
     assert np.abs(errors(found, truth)).max() < 0.05
-    assert found.misfit < 1.5
+    assert found.normalized_rms < 1.5
 
 
 def test_outliers_that_the_last_round_finds_are_left_out():

@@ -50,7 +50,7 @@ def test_charuco_corners_are_accurate_and_named(drawn):
     assert len(at) >= 0.6 * len(grid)
     off = found.points - truth[at]
     assert np.sqrt((off**2).mean()) < 0.1  # OpenCV's corners, of fields of 60 px with noise
-    assert found.sigma[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
+    assert found.uncertainty[0] == pytest.approx(np.sqrt((off**2).mean()), abs=0.05)
 
 
 def test_inverted_charuco_board_has_the_same_corners():

@@ -31,8 +31,8 @@ def test_spacing_of_scale_lines_is_accurate(change):
     found = detect_micrometer(scale(**drawn))
     true, angle = drawn["spacing"], drawn["angle"]
     # Noise leaves 0.0002 to 0.0015 px; a wrong line would be 1/16 of a spacing.
-    assert found.spacing == pytest.approx(true, rel=3e-4)
-    assert abs(found.spacing - true) < 4 * found.spacing_sigma
+    assert found.spacing.value == pytest.approx(true, rel=3e-4)
+    assert abs(found.spacing.value - true) < 4 * found.spacing.uncertainty
     # Across the lines, to either side: a lean of 0.02 makes 2e-4 of the spacing.
     assert abs(np.sin(found.angle - angle)) < 0.02
     assert np.diff(found.divisions).min() >= 1
@@ -51,7 +51,7 @@ def test_missing_line_is_skipped_and_uneven_lines_are_rejected():
     image[:, x - 6 : x + 6] = 190
     found = detect_micrometer(image)
     np.testing.assert_array_equal(found.divisions, np.delete(np.arange(17), 8))
-    assert found.spacing == pytest.approx(12.3, rel=3e-4)
+    assert found.spacing.value == pytest.approx(12.3, rel=3e-4)
     rng = np.random.default_rng(5)
     uneven = np.full((60, 300), 190.0)
     for place in np.cumsum(rng.uniform(8, 24, 16)).astype(int):
@@ -73,7 +73,7 @@ def test_line_that_the_edge_of_the_image_cuts_is_left_out(cut):
     found = detect_micrometer(cv2.warpAffine(image, turn, (300, 60), borderMode=cv2.BORDER_REFLECT))
     assert found.points[:, 0].min() > spacing / 3
     # Noise moves it by up to 0.02 px; a line that is cut by a fifth would by 0.17 px.
-    assert found.spacing == pytest.approx(spacing, abs=0.06)
+    assert found.spacing.value == pytest.approx(spacing, abs=0.06)
 
 
 def test_diagonal_lines_in_a_long_strip_are_refused_without_a_warning():
@@ -91,7 +91,7 @@ def test_uneven_light_adds_no_bias_to_a_scale(spacing, angle):
     light = (1 - 0.5 * x) * (1 - 0.8 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
     image = scale(3, spacing=spacing, angle=angle, lines=int(190 / spacing), blur=1.5)
     found = detect_micrometer(image * light)
-    assert found.spacing == pytest.approx(spacing, rel=1e-3)
+    assert found.spacing.value == pytest.approx(spacing, rel=1e-3)
 
 
 @pytest.mark.parametrize(("count", "draws"), [(5, 150), (20, 60)])
@@ -105,9 +105,14 @@ def test_sigma_of_the_spacing_uses_degrees_of_freedom_of_lines(count, draws):
         places = 21.3 + 12.0 * np.arange(count) + rng.normal(0, 0.05, count)
         dark = np.exp(-((x - places[:, None]) ** 2) / 4).sum(axis=0)
         found = detect_micrometer(np.tile(200 - 120 * dark, (20, 1)).astype(np.float32))
-        errors.append(found.spacing - 12.0)
-        sigmas.append(found.spacing_sigma)
+        errors.append(found.spacing.value - 12.0)
+        sigmas.append(found.spacing.uncertainty)
     hold_sigma(errors, sigmas, freedom=count - 2)
-    value, low, high = found.um_per_pixel(10.0)
-    ends = found.spacing + student(count - 2).ppf([0.975, 0.025]) * found.spacing_sigma
-    np.testing.assert_allclose([value, low, high], 10.0 / np.array([found.spacing, *ends]))
+    size, spacing = found.um_per_pixel(10.0), found.spacing
+    ends = spacing.value + student(count - 2).ppf([0.025, 0.975]) * spacing.uncertainty
+    np.testing.assert_allclose(spacing.interval, ends)
+    np.testing.assert_allclose(
+        [size.value, size.high, size.low], 10.0 / np.array([spacing.value, *ends])
+    )
+    assert size.uncertainty / size.value == pytest.approx(spacing.uncertainty / spacing.value)
+    assert (spacing.unit, size.unit) == ("px", "µm/px")

@@ -7,28 +7,38 @@ from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import as_image, luminance, one_of
 from microlib.calibration._detection import Detection
+from microlib.calibration.detection._boards import Charuco, Chessboard
+from microlib.calibration.detection._circles import Circles
+from microlib.calibration.detection._image import GreyImage
 from microlib.calibration.detection._micrometer import Micrometer, find_scale
-from microlib.calibration.detection._patterns import find_pattern
-from microlib.calibration.detection._settings import Settings
+from microlib.calibration.detection._pattern import Pattern, find_pattern
+from microlib.calibration.detection._settings import DetectionSettings
+from microlib.calibration.detection._squares import Squares
 
-_SETTINGS = Settings()
+#: The patterns in the order in which `detect_pattern` tries them. Those of a group are found by the
+#: same search.
+_PATTERNS: tuple[tuple[Pattern, ...], ...] = (
+    (Chessboard(),),
+    (Charuco(),),
+    (Squares(), Circles()),
+)
 
 
-def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detection]:
+def detect_pattern(image: ArrayLike, pattern: str = "auto") -> tuple[str, Detection]:
     """Detect a calibration pattern whose kind is not known; return its name and its points.
 
     Parameters
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue, which are converted to luminance.
-    marks : {"auto", "chessboard", "charuco", "squares", "circles"}
+    pattern : {"auto", "chessboard", "charuco", "squares", "circles"}
         Kind of the pattern, by default the first of these that is found.
 
     Returns
     -------
     name : str
         Kind of the pattern.
-    found : Detection
+    detection : Detection
         Result of the function for this kind.
 
     Raises
@@ -45,13 +55,14 @@ def detect_pattern(image: ArrayLike, marks: str = "auto") -> tuple[str, Detectio
     >>> name, len(found.points)
     ('chessboard', 30)
     """
-    one_of("marks", marks, ("auto", "chessboard", "charuco", "squares", "circles"))
-    grey, faults = _grey(image), []
-    for kinds in (["chessboard"], ["charuco"], ["squares", "circles"]):
-        asked = [kind for kind in kinds if marks in ("auto", kind)]
+    names = [known.name for group in _PATTERNS for known in group]
+    one_of("pattern", pattern, ("auto", *names))
+    grey, faults = GreyImage.from_levels(_grey(image)), []
+    for group in _PATTERNS:
+        asked = [known for known in group if pattern in ("auto", known.name)]
         try:
             if asked:
-                return find_pattern(grey, asked, _SETTINGS)
+                return find_pattern(grey, asked)
         except ValueError as fault:
             faults.append(str(fault))
     raise ValueError("; ".join(faults))
@@ -142,7 +153,7 @@ def detect_circles(image: ArrayLike) -> Detection:
     >>> len(found.points), bool(abs(error).max() < 0.01)
     (9, True)
     """
-    return find_pattern(_grey(image), ["circles"], _SETTINGS)[1]
+    return detect_pattern(image, "circles")[1]
 
 
 def detect_squares(
@@ -201,7 +212,7 @@ def detect_squares(
     (16, True, 0.5)
     """
     pattern = one_of("pattern", pattern, ("squares", "chessboard"))
-    return find_pattern(_grey(image), [pattern], _SETTINGS)[1]
+    return detect_pattern(image, pattern)[1]
 
 
 def detect_micrometer(image: ArrayLike) -> Micrometer:
@@ -239,10 +250,11 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     >>> lines = sum(np.exp(-((x - 13.3 - 17.2 * k) ** 2) / 4) for k in range(11))
     >>> noise = np.random.default_rng(0).normal(0, 2, (60, 200))
     >>> scale = detect_micrometer(200 - 120 * lines + noise)
-    >>> len(scale.points), round(scale.spacing, 2), round(scale.um_per_pixel(10.0)[0], 3)
-    (11, 17.2, 0.581)
+    >>> len(scale.points), round(scale.spacing.value, 2)
+    (11, 17.2)
+    >>> print(scale.um_per_pixel(10.0))
     """
-    return find_scale(_grey(image), _SETTINGS)
+    return find_scale(_grey(image), DetectionSettings())
 
 
 def _grey(image: ArrayLike) -> NDArray[np.float32]:

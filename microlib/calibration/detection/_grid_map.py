@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
-from microlib._common import Array
+from microlib._common import Array, robust_std
 from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
-from microlib.calibration.detection._marks import TO_SIGMA
-from microlib.calibration.detection._settings import Settings
+from microlib.calibration.detection._settings import DetectionSettings
 from microlib.microscope import distort
 
+#: Integer coordinates of marks in a lattice, (n, 2).
+GridIndex = NDArray[np.intp]
+#: Point of a round mark relative to the coordinates of the mark.
+MIDDLE = np.zeros((1, 2))
 #: Step of the central differences, in cells. Their relative error is its square, and rounding makes
 #: 1e-12 of it.
 _STEP = 1e-3
@@ -73,8 +76,13 @@ class GridMap:
         return np.asarray(np.abs(xi * yj - xj * yi))
 
 
+def map_centers(centers: Array, grid: GridIndex, image_shape: tuple[int, ...]) -> GridMap:
+    """Least-squares map from the grid to the centers of marks (n, 2), px."""
+    return fit_grid_map(centers[:, None], grid, MIDDLE, image_shape)[0]
+
+
 def fit_grid_map(
-    points: Array, cells: Array, offsets: Array, image_shape: tuple[int, ...]
+    points: Array, grid: GridIndex, offsets: Array, image_shape: tuple[int, ...]
 ) -> tuple[GridMap, Array]:
     """Least-squares map from the grid to the points of its marks.
 
@@ -82,8 +90,8 @@ def fit_grid_map(
     ----------
     points : ndarray, shape (n, k, 2)
         Image points of each mark, px: a center, or the four corners of a square.
-    cells : ndarray, shape (n, 2)
-        Coordinates of the marks, pitches.
+    grid : ndarray of int, shape (n, 2)
+        Coordinates of the marks in the lattice.
     offsets : ndarray, shape (k, 2)
         Points of a mark relative to its coordinates, in sides of the square, which are fitted, too.
     image_shape : tuple of int
@@ -104,7 +112,7 @@ def fit_grid_map(
     middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
     unit = float(middle.max())
     flat = (points.mean(axis=1) - middle) / unit
-    best = cv2.findHomography(cells.astype(np.float64), flat)[0]
+    best = cv2.findHomography(grid.astype(np.float64), flat)[0]
     refusal = ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
     if best is None or not np.isfinite(best).all():
         raise refusal
@@ -122,7 +130,7 @@ def fit_grid_map(
         to_image = GridMap(
             homography=matrix, distortion=distortion, middle=middle, unit=unit, parameters=len(p)
         )
-        return to_image, cells[:, None] + offsets * [width, height]
+        return to_image, grid[:, None] + offsets * [width, height]
 
     def residuals(p: Array) -> Array:
         to_image, positions = build(p)
@@ -130,7 +138,7 @@ def fit_grid_map(
 
     if squares:
         area = np.abs(np.linalg.det(points[:, 2:] - points[:, :2])) / 2
-        cell = np.median(build(start[free])[0].scale(cells))
+        cell = np.median(build(start[free])[0].scale(grid))
         if not cell > 0:
             raise refusal
         start[-2:] = np.sqrt(np.median(area) / cell)
@@ -149,25 +157,25 @@ class ResidualTest:
     ----------
     kept : ndarray of bool, shape (n,)
         False for outliers.
-    sigma : ndarray, shape (n, k)
+    uncertainty : ndarray, shape (n, k)
         Standard deviation of a coordinate, px, from the fits of the outlines or from the residuals,
         whichever is larger.
-    misfit : float
+    normalized_rms : float
         Root of the residuals' variance over that stated by the fits; NaN for too few marks.
     """
 
     kept: NDArray[np.bool_]
-    sigma: Array
-    misfit: float
+    uncertainty: Array
+    normalized_rms: float
 
 
 def check_residuals(
     points: Array,
     positions: Array,
     to_image: GridMap,
-    sigma: Array,
+    uncertainty: Array,
     max_residual: float,
-    settings: Settings,
+    settings: DetectionSettings,
 ) -> ResidualTest:
     """Compare the points of marks with the smooth image of their lattice.
 
@@ -177,11 +185,11 @@ def check_residuals(
         Image points of each mark, px, and their coordinates in the lattice.
     to_image : GridMap
         Map fitted to them.
-    sigma : ndarray, shape (n, k)
+    uncertainty : ndarray, shape (n, k)
         Standard deviation of a coordinate by the fits of the outlines, px.
     max_residual : float
         Largest rms deviation of points from a smooth image of the lattice, in pitches.
-    settings : Settings
+    settings : DetectionSettings
         Settings of the detection.
 
     Returns
@@ -201,28 +209,33 @@ def check_residuals(
     for _ in range(3):  # an outlier distorts the fit by which outliers are found
         dof = residuals[kept].size - parameters
         if dof <= 0:
-            return ResidualTest(kept=kept, sigma=sigma, misfit=np.nan)
+            return ResidualTest(kept=kept, uncertainty=uncertainty, normalized_rms=np.nan)
         remaining, deviation = _studentized(residuals, basis, kept)
         inflation = np.sqrt(residuals[kept].size / dof)
-        scatter = TO_SIGMA * np.median(np.abs(remaining[kept])) * inflation
-        limit = settings.outlier_sigmas * np.maximum(scatter, sigma)
+        scatter = robust_std(remaining[kept]) * inflation
+        limit = settings.outlier_limit * np.maximum(scatter, uncertainty)
         before, kept = kept, (deviation.max(axis=-1) <= limit).all(axis=1)
         if (kept == before).all() or not kept.any():
             break
     kept = before & kept
     fraction = kept.mean()
     rms = float(np.sqrt((remaining[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
-    stated = float(np.sqrt((sigma[kept] ** 2).mean())) if kept.any() else 0.0
+    stated = float(np.sqrt((uncertainty[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
     # Residuals that the noise of the marks explains are accepted for any pitch.
-    if rms > max(max_residual * pitch, 3 * stated) or fraction < 3 / 4:
+    if (
+        rms > max(max_residual * pitch, settings.max_noise_ratio * stated)
+        or fraction < settings.min_kept
+    ):
         raise ValueError(
             f"image must show a regular lattice, got {fraction:.0%} of the marks on one with "
             f"deviations of {rms:.2g} px, {rms / pitch:.1%} of a pitch"
         )
-    # The stated σ has the weight of eight residuals, as few residuals determine little.
-    added = max(rms**2 - stated**2, 0.0) * dof / (dof + 8)
-    return ResidualTest(kept=kept, sigma=np.sqrt(sigma**2 + added), misfit=rms / stated)
+    # Few residuals determine little.
+    added = max(rms**2 - stated**2, 0.0) * dof / (dof + settings.prior_residuals)
+    return ResidualTest(
+        kept=kept, uncertainty=np.sqrt(uncertainty**2 + added), normalized_rms=rms / stated
+    )
 
 
 def _distortion_basis(points: Array, positions: Array, to_image: GridMap) -> Array:

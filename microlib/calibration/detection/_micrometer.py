@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Result, scalar
-from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
-from microlib.calibration.detection._settings import Settings
-
-#: Distance from a line within which its darkness is measured, in divisions.
-_REACH = 2 / 5
+from microlib.calibration._uncertainty import student_quantile
+from microlib.calibration.detection._settings import DetectionSettings
+from microlib.estimate import Estimate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -28,10 +26,8 @@ class Micrometer(Result):
         Number of each line on the scale, from zero.
     residuals : ndarray, shape (N,)
         Position of each line minus that of equal divisions, px.
-    spacing : float
-        Distance of neighboring lines, px.
-    spacing_sigma : float
-        Standard deviation of the spacing, from the residuals.
+    spacing : Estimate
+        Distance of neighboring lines, px, with the uncertainty by the residuals.
     angle : float
         Direction across the lines, measured from the x axis of the image towards y, rad.
     """
@@ -39,12 +35,11 @@ class Micrometer(Result):
     points: Array
     divisions: NDArray[np.intp]
     residuals: Array
-    spacing: float
-    spacing_sigma: float
+    spacing: Estimate
     angle: float
 
-    def um_per_pixel(self, division: float) -> tuple[float, float, float]:
-        """Size of a pixel, µm, with the limits of its 95 % interval.
+    def um_per_pixel(self, division: float) -> Estimate:
+        """Return the size of a pixel in the object plane, µm/px.
 
         It is the mean along the scale. The interval does not contain changes of the size over the
         image by distortion or a tilted scale. `residuals` that change smoothly from line to line
@@ -57,21 +52,28 @@ class Micrometer(Result):
 
         Returns
         -------
-        tuple of float
-            Estimate, lower and upper limit.
+        Estimate
+            The interval has no upper limit if that of the spacing contains zero.
         """
-        size = scalar("division", division, above=0) / self.spacing
-        half_width = student_quantile(len(self.points) - 2) * self.spacing_sigma / self.spacing
-        return size, *reciprocal_interval(size, half_width)
+        division = scalar("division", division, above=0)
+        spacing, (low, high) = self.spacing, self.spacing.interval
+        size = division / spacing.value
+        return Estimate(
+            value=size,
+            uncertainty=size * spacing.uncertainty / spacing.value,
+            low=division / high,
+            high=division / low if low > 0 else np.inf,
+            unit="µm/px",
+        )
 
 
-def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
+def find_scale(grey: NDArray[np.float32], settings: DetectionSettings) -> Micrometer:
     """Detect the lines of a scale; see :func:`detect_micrometer`."""
     angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
     rows, dark, within = _profile(upright)
-    places, spacing = _lines(dark, within)
-    places = _centers(dark, places, spacing)
+    places, spacing = _lines(dark, within, settings)
+    places = _centers(dark, places, settings.line_reach * spacing)
     steps = np.round(np.diff(places) / spacing).astype(np.intp)
     divisions = np.concatenate([[0], np.cumsum(steps)])
     spacing, first = np.polyfit(divisions, places, 1)
@@ -85,15 +87,21 @@ def find_scale(grey: NDArray[np.float32], settings: Settings) -> Micrometer:
     common = _row_correlation(upright[top : bottom + 1, begin:end])
     if common < settings.min_correlation:
         raise _no_scale(f"interrupted ones, with a correlation of rows of {common:.2f}")
-    sigma = rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum())
+    uncertainty = float(rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum()))
+    half_width = uncertainty * student_quantile(len(places) - 2)
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
     points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
     return Micrometer(
         points=points,
         divisions=divisions,
         residuals=residuals,
-        spacing=float(spacing),
-        spacing_sigma=float(sigma),
+        spacing=Estimate(
+            float(spacing),
+            uncertainty,
+            float(spacing - half_width),
+            float(spacing + half_width),
+            "px",
+        ),
         angle=angle,
     )
 
@@ -125,18 +133,20 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
     return rows, dark, (int(columns[0]), int(columns[-1]))
 
 
-def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
+def _lines(
+    dark: Array, within: tuple[int, int], settings: DetectionSettings
+) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
 
-    Peaks less than `_REACH` divisions from the first or the last column `within` the image are left
+    Peaks less than `line_reach` divisions from the first or the last column `within` the image are left
     out, because the edge would move their centroids.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
-    # Numerals and dirt have lower peaks in the mean profile.
-    places = find_peaks(dark, prominence=np.ptp(dark) / 3)[0].astype(np.float64)
+    prominence = settings.min_peak * np.ptp(dark)
+    places = find_peaks(dark, prominence=prominence)[0].astype(np.float64)
     if len(places) > 1:
-        reach = _REACH * np.median(np.diff(places))
+        reach = settings.line_reach * np.median(np.diff(places))
         places = places[(places - reach >= within[0]) & (places + reach <= within[1])]
     gaps = np.diff(places)
     steps = gaps / np.median(gaps) if len(gaps) else gaps
@@ -145,18 +155,18 @@ def _lines(dark: Array, within: tuple[int, int]) -> tuple[Array, float]:
     longest = int(np.argmax(np.diff(ends)))
     run = slice(ends[longest], ends[longest + 1])
     kept = places[run]
-    if len(kept) < max(5, 3 / 4 * len(places)):  # five lines leave three residuals
+    if len(kept) < max(settings.min_lines, settings.min_regular * len(places)):
         raise _no_scale(f"{len(kept)} of {len(places)} lines that lie away from the image's edges")
     return kept, float(np.diff(kept).sum() / np.round(steps[run][: len(kept) - 1]).sum())
 
 
-def _centers(dark: Array, places: Array, spacing: float) -> Array:
-    """Centroid of the darkness within `_REACH` divisions of each line, in four iterations.
+def _centers(dark: Array, places: Array, reach: float) -> Array:
+    """Centroid of the darkness within `reach` pixels of each line, in four iterations.
 
     A straight line is subtracted as the background, which allows for uneven light.
     """
-    part = np.linspace(-1, 1, 2 * int(2 * spacing) + 1)
-    offsets = _REACH * spacing * part
+    part = np.linspace(-1, 1, 2 * int(5 * reach) + 1)
+    offsets = reach * part
     for _ in range(4):
         line = np.interp(places[:, None] + offsets, np.arange(len(dark)), dark)
         first, last = line[:, :1], line[:, -1:]
@@ -178,7 +188,7 @@ def _row_correlation(strip: NDArray[np.float32]) -> float:
     return float(np.quantile(about @ mean / length, 1 / 4))
 
 
-def _direction(grey: NDArray[np.float32], settings: Settings) -> float:
+def _direction(grey: NDArray[np.float32], settings: DetectionSettings) -> float:
     """Angle across the lines: near the mean direction of the gradients, the one with the sharpest
     mean profile."""
     gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))

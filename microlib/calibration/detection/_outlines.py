@@ -15,16 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from microlib._common import Array
+from microlib._common import Array, NormalEquations, gauss_newton, inverse_symmetric
 from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
-from microlib.calibration.detection._marks import Marks
-from microlib.calibration.detection._settings import Settings
+from microlib.calibration.detection._marks import Rows
+from microlib.calibration.detection._settings import DetectionSettings
 
 #: From parameters (n, p) and pixels x, y (n, k) to the coverage F of the pixels and its derivatives
 #: by all parameters except contrast and background, (n, k, p − 4).
@@ -33,17 +32,6 @@ Outline = Callable[[Array, Array, Array], tuple[Array, Array]]
 #: Indices of the parameters that every outline has at its end: blur, px; contrast, relative to the
 #: background; background b₀ + b₁x + b₂y, and its slopes b₁ and b₂.
 BLUR, CONTRAST, GROUND, SLOPES = -5, -4, slice(-3, None), (-2, -1)
-#: Smaller eigenvalues of a matrix of unit diagonal are rounding errors (1e-15). A parameter without
-#: effect has this value on the diagonal and does not change.
-_SINGULAR = 1e-12
-
-
-class Rows:
-    """Record of arrays with n rows each."""
-
-    def __getitem__(self, index: NDArray) -> Self:
-        """Selected rows."""
-        return type(self)(*(each[index] for each in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -92,7 +80,8 @@ class OutlineFit(Rows):
 
 
 def cut_patches(
-    marks: Marks,
+    grey: NDArray[np.float32],
+    centers: Array,
     half: float,
     distance: Callable[[Array, Array], Array],
     band: tuple[float, float],
@@ -102,11 +91,11 @@ def cut_patches(
     Squares of half-width `half` around the rounded centers are searched, px. `distance` is a
     function of coordinates from there, (n, m), and `band` has its limits.
     """
-    origin = np.round(marks.centers)
+    origin = np.round(centers)
     step = np.arange(-np.ceil(half), np.ceil(half) + 1)
     dx, dy = (axis.ravel()[None] for axis in np.meshgrid(step, step))
     column, row = origin[:, :1] + dx, origin[:, 1:] + dy
-    height, width = marks.image.shape
+    height, width = grey.shape
     inside = distance(np.broadcast_to(dx, column.shape), np.broadcast_to(dy, row.shape))
     keep = (inside >= band[0]) & (inside <= band[1])
     keep &= (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -117,14 +106,14 @@ def cut_patches(
     return Patches(
         x=dx[0, order],
         y=dy[0, order],
-        grey=marks.image.ravel()[place.astype(int)].astype(np.float64),
+        grey=grey.ravel()[place.astype(int)].astype(np.float64),
         weight=weight.astype(np.float64),
         centers=origin,
     )
 
 
 def fit_shapes(
-    outline: Outline, start: Array, patches: Patches, gap: float, settings: Settings
+    outline: Outline, start: Array, patches: Patches, gap: float, settings: DetectionSettings
 ) -> OutlineFit:
     """Fit outlines with gaps of `gap`, px, between them, and allow for overlapping blur."""
     start[:, BLUR], start[:, CONTRAST] = settings.initial_blur, 2 / 3
@@ -132,9 +121,7 @@ def fit_shapes(
     fit = _fit_alone(outline, start, patches, settings)
     # At two blurs from its outline, a neighbor takes less than a fortieth of the light.
     if gap < 4 * np.median(np.abs(fit.parameters[:, BLUR])):
-        # For a gap of 2.8 blurs the error is 0.085 px without iteration, 0.0092 px after two
-        # iterations, 0.0074 px after three and 0.0070 px after six.
-        for _ in range(3):
+        for _ in range(settings.neighbor_iterations):
             grey = patches.grey + _neighbor_light(outline, fit, patches)
             fit = _fit_alone(outline, fit.parameters, replace(patches, grey=grey), settings)
     return fit
@@ -167,41 +154,30 @@ def _neighbor_light(outline: Outline, fit: OutlineFit, patches: Patches) -> Arra
     return taken * patches.weight
 
 
-def _fit_alone(outline: Outline, start: Array, patches: Patches, settings: Settings) -> OutlineFit:
-    """Fit all patches at once by Levenberg–Marquardt, each with its own damping.
+def _fit_alone(
+    outline: Outline, start: Array, patches: Patches, settings: DetectionSettings
+) -> OutlineFit:
+    """Fit every outline without its neighbors. The covariance is NaN where a fit fails."""
 
-    The covariance of a patch that does not converge is NaN.
-    """
-    best = start.copy()
-    damping = np.full(len(start), 1e-3)
-    normal, gradient, cost = _equations(outline, best, patches)
-    moving = np.isfinite(cost)  # a patch at NaN has failed
-    for _ in range(settings.max_iterations):
-        if not moving.any():
-            break
-        some = np.flatnonzero(moving)
-        damped = normal[some]
-        diagonal = np.maximum(np.einsum("npp->np", damped), _SINGULAR)
-        np.einsum("npp->np", damped)[...] += damping[some, None] * diagonal
-        trial = best[some] + (_invert(damped) @ gradient[some, :, None])[..., 0]
-        found = _equations(outline, trial, patches[some])
-        better = found[2] < cost[some]  # False for NaN; more damping may help
-        moving[some] = ~(np.abs(found[2] - cost[some]) < settings.cost_tolerance * cost[some])
-        damping[some] *= np.where(better, 1 / 10, 10)
-        some = some[better]
-        best[some] = trial[better]
-        normal[some], gradient[some], cost[some] = (each[better] for each in found)
+    def linearize(parameters: Array, numbers: NDArray[np.intp]) -> NormalEquations:
+        return _normal_equations(outline, parameters, patches[numbers])
+
+    parameters, equations, converged = gauss_newton(
+        linearize,
+        start,
+        max_iterations=settings.max_iterations,
+        cost_tolerance=settings.cost_tolerance,
+    )
     dof = patches.weight.sum(axis=1) - start.shape[1]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        variance = np.where(dof > 0, cost / dof, np.nan)
-        covariance = _invert(normal) * variance[:, None, None]
-    failed = moving | ~np.isfinite(covariance).all(axis=(1, 2))
-    covariance[failed] = np.nan
-    return OutlineFit(best, covariance, np.sqrt(variance), patches.centers)
+        variance = np.where(dof > 0, equations.cost / dof, np.nan)
+        covariance = inverse_symmetric(equations.matrix) * variance[:, None, None]
+    covariance[~(converged & np.isfinite(covariance).all(axis=(1, 2)))] = np.nan
+    return OutlineFit(parameters, covariance, np.sqrt(variance), patches.centers)
 
 
-def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[Array, Array, Array]:
-    """Normal matrices (n, p, p), right-hand sides (n, p) and sums of squares (n,)."""
+def _normal_equations(outline: Outline, parameters: Array, patches: Patches) -> NormalEquations:
+    """Normal equations of the grey levels of each patch."""
     light, inside, by, basis = _parts(outline, parameters, patches)
     contrast = parameters[:, CONTRAST, None]
     residual = (patches.grey - light * (1 - contrast * inside)) * patches.weight
@@ -211,10 +187,13 @@ def _equations(outline: Outline, parameters: Array, patches: Patches) -> tuple[A
     jacobian[..., GROUND] = basis * (1 - contrast * inside)[..., None]
     jacobian *= patches.weight[..., None]
     turned = jacobian.transpose(0, 2, 1)
-    return turned @ jacobian, (turned @ residual[..., None])[..., 0], (residual**2).sum(axis=1)
+    right = (turned @ residual[..., None])[..., 0]
+    return NormalEquations(turned @ jacobian, right, (residual**2).sum(axis=1))
 
 
-def smooth_parameters(fit: OutlineFit, columns: Sequence[int], settings: Settings) -> OutlineFit:
+def smooth_parameters(
+    fit: OutlineFit, columns: Sequence[int], settings: DetectionSettings
+) -> OutlineFit:
     """Replace parameters of all outlines by smooth functions of the place in the image.
 
     Each parameter in `columns` is replaced by a polynomial of the outlines' centers: quadratic for
@@ -237,7 +216,7 @@ def smooth_parameters(fit: OutlineFit, columns: Sequence[int], settings: Setting
     limit = 1 + settings.max_chi2_deviation * np.sqrt(2 / dof)
     replaced = [k for k in columns if reduced_chi2[k] < limit]
     covariance = fit.covariance[:, :, replaced]
-    gain = covariance @ _invert(covariance[:, replaced])
+    gain = covariance @ inverse_symmetric(covariance[:, replaced])
     leverage = np.einsum("ij,ji->i", basis, pseudoinverse)[:, None, None]
     return replace(
         fit,
@@ -246,22 +225,12 @@ def smooth_parameters(fit: OutlineFit, columns: Sequence[int], settings: Setting
     )
 
 
-def _invert(matrices: Array) -> Array:
-    """Inverses of symmetric positive matrices, scaled to unit diagonal; NaN where singular."""
-    scale = np.sqrt(np.maximum(np.einsum("npp->np", matrices), np.finfo(float).tiny))
-    unit = matrices / scale[:, :, None] / scale[:, None, :]
-    values, vectors = np.linalg.eigh(np.where(np.isfinite(unit), unit, 0.0))
-    with np.errstate(divide="ignore"):
-        inverse = np.where(values > _SINGULAR, 1 / values, np.nan)
-    out = (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)
-    return out / scale[:, :, None] / scale[:, None, :]
-
-
-def band(marks: Marks, radius: float) -> tuple[tuple[float, float], float]:
+def band(
+    centers: Array, radius: float, settings: DetectionSettings
+) -> tuple[tuple[float, float], float]:
     """Limits of the distance to an outline of half-width `radius`, positive inside, of the pixels
     up to the middle of the gap to the next mark, and the gap, px."""
-    distance, _ = cKDTree(marks.centers).query(marks.centers, k=2)
+    distance, _ = cKDTree(centers).query(centers, k=2)
     half = float(np.median(distance[:, 1])) / 2 - radius
-    # If the band crosses the middle of a narrow gap, corners err by 0.010 instead of 0.005 px.
-    outer, inner = (max(min(half, marks.settings.max_band), least) for least in (1.0, 2.0))
+    outer, inner = (max(min(half, settings.max_band), least) for least in settings.min_band)
     return (-outer, inner), 2 * half

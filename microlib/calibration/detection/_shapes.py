@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from microlib._common import Array
 from microlib.calibration._detection import MIN_MARKS
+from microlib.calibration.detection._image import GreyImage
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import (
     BLUR,
-    CONTRAST,
-    SLOPES,
     OutlineFit,
-    Rows,
     band,
     cut_patches,
     fit_shapes,
-    smooth_parameters,
 )
+from microlib.calibration.detection._settings import DetectionSettings
 
 # Parameters of an ellipse: its center, the shape matrix A with |A·(x − center)| = 1 on the ellipse,
 # then the parameters that all outlines have.
@@ -39,103 +35,72 @@ _MIN_DIVISOR = 1e-9
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
-def are_round(marks: Marks, steps: Array) -> bool:
+class MarkPoints(NamedTuple):
+    """Points of n fitted marks: the centers of circles, or the corners of squares and boards.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, k, 2)
+        The k points of each mark, px.
+    uncertainty : ndarray, shape (n, k)
+        Standard deviation of a coordinate of each point, px.
+    extent : ndarray, shape (n, 1, 2)
+        Distances along x and y from the points within which the mark lies, px.
+    """
+
+    points: Array
+    uncertainty: Array
+    extent: Array
+
+
+def are_round(image: GreyImage, marks: Marks, steps: Array, settings: DetectionSettings) -> bool:
     """Whether ellipses fit the grey levels of the marks better than quadrilaterals."""
     # A few marks suffice, as each has hundreds of pixels. The first marks of a lattice are
     # neighbors, so that their bands do not overlap.
     first = slice(2 * MIN_MARKS)
-    some = replace(
-        marks[first],
-        settings=replace(marks.settings, max_iterations=marks.settings.shape_iterations),
-    )
-    fits = fit_quads(some, steps[first]), fit_ellipses(some, steps[first])
-    rms = [float(np.nanmedian(fit.rms)) for fit in fits]
-    # Noise of three fifths of the contrast leaves such a residual. A fit of all marks of this size,
-    # as the fields of a ChArUco board with markers, takes many iterations.
-    if min(rms) > np.ptp(marks.smooth) / 4:
+    short = replace(settings, max_iterations=settings.shape_iterations)
+    quads = fit_quads(image, marks[first], steps[first], short)
+    ellipses = fit_ellipses(image, marks[first], short)
+    of_quads, of_ellipses = (float(np.nanmedian(fit.rms)) for fit in (quads, ellipses))
+    if min(of_quads, of_ellipses) > settings.max_round_rms * np.ptp(image.smooth):
         raise ValueError("image must show marks on a ground, got ones that no outline fits")
-    return rms[1] < rms[0]
+    return of_ellipses < of_quads
 
 
-@dataclass(frozen=True)
-class FittedMarks(Rows):
-    """Fitted points of n marks: the centers of circles, or the corners of squares and boards.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, k, 2)
-        The k points of each mark, px.
-    sigma : ndarray, shape (n, k)
-        Standard deviation of a coordinate of each point, px.
-    ellipses : ndarray, shape (n, 2, 2)
-        Matrices from the unit circle to the image of each circle, px; zeros for other marks.
-    grid : ndarray of int, shape (n, 2)
-        Coordinates in the lattice.
-    steps : ndarray, shape (n, 2, 2)
-        Derivatives of the image points by these coordinates, px.
-    """
-
-    points: Array
-    sigma: Array
-    ellipses: Array
-    grid: NDArray[np.intp]
-    steps: Array
-
-
-def fit_marks(marks: Marks, grid: NDArray[np.intp], steps: Array, kind: str) -> FittedMarks:
-    """Fit marks; return the marks that lie in the image and are fitted as well as the others."""
-    model = _MODELS[kind]
-    fit = model.fit(marks, steps)
-    points, sigma, ellipses = model.locate(fit)
-    extent = np.linalg.norm(ellipses, axis=2)[:, None]  # half the width and height of an ellipse
-    limit = np.array(marks.image.shape[::-1]) - 1
-    worst = sigma.max(axis=1)
-    inside = (points >= extent) & (points <= limit - extent)
-    moved = np.linalg.norm(points.mean(axis=1) - marks.centers, axis=1)
-    good = inside.all(axis=(1, 2)) & np.isfinite(worst) & (moved < np.sqrt(marks.areas) / 6)
-    # A larger blur is that of several marks.
-    good &= 3 * np.abs(fit.parameters[:, BLUR]) < np.sqrt(marks.areas)
-    # A limit of 5 medians accepts 2 wrong points of 1961 that 3 rejects, and a limit of 2 rejects
-    # 12 right ones.
-    if good.any():
-        good &= fit.rms <= 3 * np.median(fit.rms[good])
-        good &= worst <= np.minimum(4 * np.median(worst[good]), np.sqrt(marks.areas) / 20)
-    if good.sum() < MIN_MARKS:
-        board = "ChArUco board" if kind == "charuco" else kind
-        shown = f"a grid of whole {kind}" if model.smooth else f"the corners of a {board}"
-        raise ValueError(f"image must show {shown}, got {int(good.sum())} that fit")
-    fit = smooth_parameters(fit[good], model.smooth, marks.settings)
-    points, sigma, ellipses = model.locate(fit)
-    return FittedMarks(
-        points=points, sigma=sigma, ellipses=ellipses, grid=grid[good], steps=steps[good]
-    )
-
-
-def fit_ellipses(marks: Marks, steps: Array) -> OutlineFit:
-    """Fit an ellipse to each mark, from its moments. The steps of the lattice are not used."""
+def fit_ellipses(image: GreyImage, marks: Marks, settings: DetectionSettings) -> OutlineFit:
+    """Fit an ellipse to each mark, from its moments."""
     values, vectors = np.linalg.eigh(marks.moments)  # a filled ellipse has A = ½ Σ^(−½)
     shape = (vectors / (2 * np.sqrt(values))[:, None, :]) @ vectors.transpose(0, 2, 1)
     own = np.hstack([marks.centers - np.round(marks.centers), shape[:, [0, 0, 1], [0, 1, 1]]])
     start = np.pad(own, [(0, 0), (0, -BLUR)])
     radius = float(1 / np.sqrt(np.linalg.det(shape).min()))
-    near, gap = band(marks, radius)
+    near, gap = band(marks.centers, radius, settings)
     half = 3 / 2 * radius - near[0]  # the longer axis is 1.5 mean radii at a tilt of 64°
-    patches = cut_patches(marks, half, lambda x, y: _to_ellipse(start, x, y)[0], near)
-    return fit_shapes(_ellipse, start, patches, gap, marks.settings)
+    patches = cut_patches(
+        image.grey, marks.centers, half, lambda x, y: _to_ellipse(start, x, y)[0], near
+    )
+    return fit_shapes(_ellipse, start, patches, gap, settings)
 
 
-def ellipse_center(fit: OutlineFit) -> tuple[Array, Array, Array]:
-    """Center of each ellipse, (n, 1, 2), standard deviation of a coordinate, (n, 1), px, and the
-    symmetric matrix A⁻¹ from the unit circle to the ellipse, (n, 2, 2).
-
-    The lengths of the rows of A⁻¹ are half the width and height of the ellipse.
-    """
-    sigma = np.sqrt(np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1))
-    shape = fit.parameters[:, _SHAPE][:, [[0, 1], [1, 2]]]
-    return (fit.parameters[:, CENTER] + fit.centers)[:, None], sigma[:, None], np.linalg.inv(shape)
+def ellipse_matrices(fit: OutlineFit) -> Array:
+    """Symmetric matrices A⁻¹ from the unit circle to each ellipse, (n, 2, 2), px."""
+    return np.linalg.inv(fit.parameters[:, _SHAPE][:, [[0, 1], [1, 2]]])
 
 
-def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
+def ellipse_centers(fit: OutlineFit) -> MarkPoints:
+    """Center of each ellipse."""
+    variance = np.einsum("nii->ni", fit.covariance[:, CENTER, CENTER]).mean(axis=1)
+    return MarkPoints(
+        points=(fit.parameters[:, CENTER] + fit.centers)[:, None],
+        uncertainty=np.sqrt(variance)[:, None],
+        # The lengths of the rows of A⁻¹ are half the width and height of the ellipse.
+        extent=np.linalg.norm(ellipse_matrices(fit), axis=2)[:, None],
+    )
+
+
+def fit_quads(
+    image: GreyImage, marks: Marks, steps: Array, settings: DetectionSettings
+) -> OutlineFit:
     """Fit four lines to each mark, from a square along the lattice's steps."""
     origin = np.round(marks.centers)
     side = np.sqrt(marks.areas / np.abs(np.linalg.det(steps)))[:, None, None]
@@ -144,23 +109,28 @@ def fit_quads(marks: Marks, steps: Array) -> OutlineFit:
     outward = np.sign(np.linalg.det(steps))[:, None, None]
     start = _start_lines(outward * (corners - before), (corners + before) / 2)
     width = float(np.median(line_offsets(start).sum(axis=1)) / 2)
-    near, gap = band(marks, width / 2)
+    near, gap = band(marks.centers, width / 2, settings)
     half = width - near[0]  # half a diagonal and some for the tilt
-    patches = cut_patches(marks, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near)
-    return fit_shapes(_quad, start, patches, gap, marks.settings)
+    patches = cut_patches(
+        image.grey, marks.centers, half, lambda x, y: _to_lines(start, x, y).min(axis=-1), near
+    )
+    return fit_shapes(_quad, start, patches, gap, settings)
 
 
-def fit_crossings(marks: Marks, steps: Array, half_width: float = 0.45) -> OutlineFit:
-    """Fit two lines to each corner of a board, along the lattice's steps.
-
-    `half_width` is that of a patch, in sides of a field. The patch must not contain the next
-    edges, a side away, with their blur and foreshortening, nor the markers in the fields.
-    """
-    settings = marks.settings
+def fit_crossings(
+    image: GreyImage, marks: Marks, steps: Array, half_width: float, settings: DetectionSettings
+) -> OutlineFit:
+    """Fit two lines to each corner of a board, along the lattice's steps, in patches of
+    `half_width` fields."""
     side = np.abs(np.linalg.det(steps)) / np.linalg.norm(steps, axis=1).max(axis=1)
     radius = np.clip(half_width * side, 3, settings.max_patch)[:, None]
-    near = (0.0, 1.0)
-    patches = cut_patches(marks, radius.max(), lambda x, y: np.hypot(x, y) / radius, near)
+    patches = cut_patches(
+        image.grey,
+        marks.centers,
+        radius.max(),
+        lambda x, y: np.hypot(x, y) / radius,
+        (0.0, 1.0),
+    )
     start = _start_lines(steps.transpose(0, 2, 1), (marks.centers - patches.centers)[:, None])
     start[:, BLUR] = settings.initial_blur
     dark = _crossing(start, patches.x, patches.y)[0] - 0.5
@@ -182,9 +152,8 @@ def _start_lines(along: Array, on: Array) -> Array:
     return np.pad(np.hstack([angle, offset]), [(0, 0), (0, -BLUR)])
 
 
-def quad_corners(fit: OutlineFit) -> tuple[Array, Array, Array]:
-    """Intersections of consecutive lines, (n, 4, 2) or (n, 1, 2) of two lines, the standard
-    deviation of a coordinate, (n, 4) or (n, 1), px, and zeros in place of ellipses."""
+def line_crossings(fit: OutlineFit) -> MarkPoints:
+    """Intersections of consecutive lines: four of four lines, one of two."""
     offset = line_offsets(fit.parameters)
     lines = offset.shape[1]
     first = np.arange(4 if lines == 4 else 1)
@@ -198,27 +167,11 @@ def quad_corners(fit: OutlineFit) -> tuple[Array, Array, Array]:
     by = np.concatenate([inverse * slide[..., None, :], inverse], axis=-1)
     places = np.hstack([pair, lines + pair])
     part = fit.covariance[:, places[:, :, None], places[:, None, :]]
-    sigma = np.sqrt(np.einsum("ncij,ncjk,ncik->nc", by, part, by) / 2)
-    return corners + fit.centers[:, None], sigma, np.zeros((len(sigma), 2, 2))
-
-
-class _Model(NamedTuple):
-    """Outline of a kind of mark: its fit, its points, and its parameters that vary smoothly across
-    the image."""
-
-    fit: Callable[..., OutlineFit]
-    locate: Callable[..., tuple[Array, Array, Array]]
-    smooth: tuple[int, ...]
-
-
-#: Models by kind. The blur, the contrast and the slopes of the background vary smoothly, and so do
-#: the directions of the sides of squares. Smoothing does not improve the corners of boards.
-_MODELS = {
-    "circles": _Model(fit_ellipses, ellipse_center, (BLUR, CONTRAST, *SLOPES)),
-    "squares": _Model(fit_quads, quad_corners, (0, 1, 2, 3, BLUR, CONTRAST, *SLOPES)),
-    "chessboard": _Model(fit_crossings, quad_corners, ()),
-    "charuco": _Model(partial(fit_crossings, half_width=1 / 8), quad_corners, ()),
-}
+    return MarkPoints(
+        points=corners + fit.centers[:, None],
+        uncertainty=np.sqrt(np.einsum("ncij,ncjk,ncik->nc", by, part, by) / 2),
+        extent=np.zeros((len(corners), 1, 2)),
+    )
 
 
 def _to_ellipse(parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
