@@ -184,6 +184,11 @@ def covariance(*units: Unit) -> list[list[Unit]]:
     return [[one * other for other in units] for one in units]
 
 
+def estimate(unit: Any) -> dict[str, Any]:
+    """Return the units of an `Estimate` of a quantity with this unit."""
+    return dict.fromkeys(("value", "uncertainty", "low", "high", "interval"), unit) | {"unit": SAME}
+
+
 def converted(value: Any, unit: Any, to: Units, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the name of each part of a result, and the part in other units from other origins."""
     if isinstance(unit, dict) and value is not None:

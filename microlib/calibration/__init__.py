@@ -14,10 +14,12 @@ from microlib.calibration.detection._detect import (
     detect_pattern,
     detect_squares,
 )
+from microlib.calibration.detection._micrometer import Micrometer
 
 __all__ = [
     "Calibration",
     "Detection",
+    "Micrometer",
     "calibrate",
     "cramer_rao",
     "detect_charuco",

@@ -228,7 +228,7 @@ def test_images_without_a_pattern_are_rejected(shown, detect):
 
 
 def test_message_of_detect_pattern_has_the_reason_for_each_kind():
-    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a ChArUco board, .*; .* got none"):
+    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a ChArUco board, .*; .* marks"):
         detect_pattern(NO_PATTERN["noise"])
 
 

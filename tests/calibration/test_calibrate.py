@@ -245,7 +245,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
 
     def left_out(*which):
         kept = ~np.isin(groups, which)
-        part = ("points", "grid", "sigma", "group", "positions")
+        part = ("points", "grid", "uncertainty", "group", "positions")
         found = replace(whole, **{name: getattr(whole, name)[kept] for name in part})
         return calibrate(found, pitch=400, focal_length=F, pixel_pitch=SENSOR["pixel_pitch"])
 
@@ -314,8 +314,9 @@ def detection(scope):
     grid = np.round((world - world.min(axis=0)) / 280).astype(int)
     ones = np.ones(len(grid))
     return Detection(
-        points=scope.project(world), grid=grid, sigma=NOISE * ones, group=np.arange(len(grid)),
-        positions=grid + 0.25, side=np.nan, misfit=1.0, image_size=scope.image_size,
+        points=scope.project(world), grid=grid, uncertainty=NOISE * ones,
+        group=np.arange(len(grid)), positions=grid + 0.25, side=np.nan, normalized_rms=1.0,
+        image_size=scope.image_size,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from microlib.calibration import calibrate, detect_micrometer, stage_affine
-from tests.calibration import test_boards, test_charuco, test_stage
+from tests.calibration import test_boards, test_charuco, test_micrometer, test_stage
 from tests.calibration.scenes import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 from tests.laws import (
     NUMBER,
@@ -20,6 +20,7 @@ from tests.laws import (
     Row,
     TestedBy,
     covariance,
+    estimate,
     laws_of,
     px,
     um,
@@ -60,12 +61,15 @@ SPANS = {
 }
 #: The middle of a mark is found to some 1e-6 px from grey levels in single precision.
 SINGLE = 1e-5
-DETECTED = dict.fromkeys(("points", "sigma", "positions", "side", "misfit"), NUMBER) | {
+DETECTED = dict.fromkeys(
+    ("points", "uncertainty", "positions", "side", "normalized_rms"), NUMBER
+) | {
     **dict.fromkeys(("grid", "group", "image_size"), SAME),
 }
 SCALE = {
-    **dict.fromkeys(("points", "residuals", "spacing", "spacing_sigma", "angle"), NUMBER),
+    **dict.fromkeys(("points", "residuals", "angle"), NUMBER),
     "divisions": SAME,
+    "spacing": estimate(NUMBER),
 }
 
 
@@ -99,8 +103,10 @@ LAWS = {
             ("detect_squares", "squares", DETECTED), ("detect_micrometer", "scale", SCALE),
             ("detect_pattern", "circles", (SAME, DETECTED)))
     },
-    "calibration.detection._micrometer.Micrometer.um_per_pixel": Row(
-        lambda u: {"self": detect_micrometer(PHOTOGRAPHS["scale"]), "division": 10.0 * u.um}, um
+    "calibration.Micrometer": TestedBy(test_micrometer.test_spacing_of_scale_lines_is_accurate),
+    "calibration.Micrometer.um_per_pixel": Row(
+        lambda u: {"self": detect_micrometer(PHOTOGRAPHS["scale"]), "division": 10.0 * u.um},
+        estimate(um),
     ),
     "calibration.cramer_rao": Row(
         lambda u: {
@@ -161,7 +167,9 @@ def test_detected_points_follow_flips_and_rotations(shown, view):
     assert sorted(order) == list(range(len(wanted)))
     apart = other.points - wanted[order]
     assert np.abs(apart).max() < 0.02  # a middle rounded the other way has other pixels around it
-    np.testing.assert_allclose(other.sigma, one.sigma[order], rtol=0.2)  # of a hundred pixels
+    np.testing.assert_allclose(
+        other.uncertainty, one.uncertainty[order], rtol=0.2
+    )  # of a hundred pixels
     turned = [
         np.linalg.lstsq(p.positions - p.positions.mean(axis=0), p.points)[0] for p in (one, other)
     ]

@@ -15,12 +15,13 @@ from microlib.calibration.detection._pattern import Pattern, find_pattern
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.calibration.detection._squares import Squares
 
+_SETTINGS = DetectionSettings()
 #: The patterns in the order in which `detect_pattern` tries them. Those of a group are found by the
 #: same search.
 _PATTERNS: tuple[tuple[Pattern, ...], ...] = (
-    (Chessboard(),),
-    (Charuco(),),
-    (Squares(), Circles()),
+    (Chessboard(_SETTINGS),),
+    (Charuco(_SETTINGS),),
+    (Squares(_SETTINGS), Circles(_SETTINGS)),
 )
 
 
@@ -250,11 +251,10 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     >>> lines = sum(np.exp(-((x - 13.3 - 17.2 * k) ** 2) / 4) for k in range(11))
     >>> noise = np.random.default_rng(0).normal(0, 2, (60, 200))
     >>> scale = detect_micrometer(200 - 120 * lines + noise)
-    >>> len(scale.points), round(scale.spacing.value, 2)
-    (11, 17.2)
-    >>> print(scale.um_per_pixel(10.0))
+    >>> len(scale.points), round(scale.spacing.value, 2), round(scale.um_per_pixel(10.0).value, 3)
+    (11, 17.2, 0.581)
     """
-    return find_scale(_grey(image), DetectionSettings())
+    return find_scale(_grey(image), _SETTINGS)
 
 
 def _grey(image: ArrayLike) -> NDArray[np.float32]:

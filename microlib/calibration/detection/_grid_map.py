@@ -223,10 +223,8 @@ def check_residuals(
     stated = float(np.sqrt((uncertainty[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
     # Residuals that the noise of the marks explains are accepted for any pitch.
-    if (
-        rms > max(max_residual * pitch, settings.max_noise_ratio * stated)
-        or fraction < settings.min_kept
-    ):
+    limit = max(max_residual * pitch, settings.max_noise_ratio * stated)
+    if rms > limit or fraction < settings.min_kept:
         raise ValueError(
             f"image must show a regular lattice, got {fraction:.0%} of the marks on one with "
             f"deviations of {rms:.2g} px, {rms / pitch:.1%} of a pitch"

@@ -76,7 +76,7 @@ def find_scale(grey: NDArray[np.float32], settings: DetectionSettings) -> Microm
     places = _centers(dark, places, settings.line_reach * spacing)
     steps = np.round(np.diff(places) / spacing).astype(np.intp)
     divisions = np.concatenate([[0], np.cumsum(steps)])
-    spacing, first = np.polyfit(divisions, places, 1)
+    spacing, first = np.polyfit(divisions, places, 1).tolist()
     residuals = places - first - spacing * divisions
     rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
     deviation = rms / spacing
@@ -95,13 +95,7 @@ def find_scale(grey: NDArray[np.float32], settings: DetectionSettings) -> Microm
         points=points,
         divisions=divisions,
         residuals=residuals,
-        spacing=Estimate(
-            float(spacing),
-            uncertainty,
-            float(spacing - half_width),
-            float(spacing + half_width),
-            "px",
-        ),
+        spacing=Estimate(spacing, uncertainty, spacing - half_width, spacing + half_width, "px"),
         angle=angle,
     )
 
@@ -138,8 +132,8 @@ def _lines(
 ) -> tuple[Array, float]:
     """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
 
-    Peaks less than `line_reach` divisions from the first or the last column `within` the image are left
-    out, because the edge would move their centroids.
+    Peaks less than `line_reach` divisions from the first or the last column `within` the image are
+    left out, because the edge would move their centroids.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 

@@ -76,7 +76,7 @@ class Pattern(ABC):
         Parameters of the outlines that vary smoothly across the image.
     """
 
-    settings: DetectionSettings = DetectionSettings()
+    settings: DetectionSettings
     name: ClassVar[str]
     shown: ClassVar[str]
     offsets: ClassVar[Array] = MIDDLE
@@ -95,8 +95,8 @@ class Pattern(ABC):
     def fit(self, image: GreyImage, marks: Marks, steps: Array) -> OutlineFit:
         """Outlines fitted to the grey levels of the marks.
 
-        `steps` are the derivatives of the image points by the coordinates of the lattice, (n, 2, 2):
-        one column each, px. Raises a ValueError if the marks have another shape.
+        `steps` are the derivatives of the image points by the coordinates of the lattice, (n, 2,
+        2): one column each, px. Raises a ValueError if the marks have another shape.
         """
 
     @abstractmethod
@@ -144,7 +144,9 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
             except ValueError as fault:
                 faults.setdefault(pattern.name, str(fault))  # that of the largest lattice
     shown = " or ".join(pattern.shown for pattern in patterns)
-    raise ValueError("; ".join(faults.values()) or f"image must show {shown}, got none")
+    raise ValueError(
+        "; ".join(dict.fromkeys(faults.values())) or f"image must show {shown}, got none"
+    )
 
 
 def _detect(pattern: Pattern, lattice: MarkLattice) -> Detection:
