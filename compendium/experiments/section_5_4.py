@@ -192,28 +192,16 @@ class Workstation:
             "camera": servoing.CameraTiming(thesis.FRAME_INTERVAL, late, self.shake(zoom)),
         }
 
-    def runs(
-        self,
-        zoom: str,
-        path: NDArray,
-        draws: int,
-        *,
-        start: ArrayLike | None = None,
-        controller: Any = None,
-        latency: float | None = None,
-    ) -> Any:
-        """Simulate `draws` runs at once, each with its own jitter and calibration.
-
-        The controller is that of the thesis if no other is given.
-        """
+    def runs(self, zoom: str, path: NDArray, draws: int, *, start: ArrayLike | None = None) -> Any:
+        """Simulate `draws` runs at once, each with its own jitter and calibration."""
         generators = [np.random.default_rng([self.seed, draw]) for draw in range(draws)]
         return servoing.simulate(
-            controller or thesis_controller(zoom),
+            thesis_controller(zoom),
             path,
             jacobian=[drawn_jacobian(zoom, rng, self.assumed) for rng in generators],
             rng=generators,
             start=start,
-            **self.apparatus(zoom, latency),
+            **self.apparatus(zoom),
         )
 
     def path_errors(self, zoom: str, name: str, draws: int) -> NDArray:

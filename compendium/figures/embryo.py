@@ -32,7 +32,8 @@ def add_scale_bar(ax: Axes, length: float, pixel_size: float, *, color: str = "b
     middle, above = x + length / pixel_size / 2, y - 0.02 * (bottom - top)
     label = ax.text(middle, above, f"{length:g} µm", color=color, ha="center", va="bottom")
     # Legible on any ground.
-    label.set_path_effects([withStroke(linewidth=3, foreground="white")])
+    around = "white" if color == "black" else "black"
+    label.set_path_effects([withStroke(linewidth=3, foreground=around)])
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
