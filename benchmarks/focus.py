@@ -22,7 +22,7 @@ from benchmarks.photographs import grey_levels, middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus.multiscale._depth import RULES, Settings, multiscale_depth
+from microlib.focus.multiscale._depth import RULES, FocusSettings, multiscale_depth
 from tests.focus.scenes import NAMES
 from tests.scenes import straight_step, tilted_plane
 
@@ -311,10 +311,10 @@ def steps() -> pd.DataFrame:
     full = {kind: _measured(stacks) for kind, stacks in cases.items()}
     # A setting that no peak reaches turns its step off.
     without: dict[str, dict[str, Any]] = {
-        "averaged frames": {"settings": Settings(width=np.inf)},
-        "wide windows": {"settings": Settings(wide_slope=0.0)},
-        "smoothing": {"settings": Settings(radius=0.1)},
-        "relief": {"settings": Settings(snr_low=1e9, snr_high=2e9)},
+        "averaged frames": {"settings": FocusSettings(width=np.inf)},
+        "wide windows": {"settings": FocusSettings(wide_slope=0.0)},
+        "smoothing": {"settings": FocusSettings(smoothing_sigma=0.1)},
+        "relief": {"settings": FocusSettings(snr_low=1e9, snr_high=2e9)},
     }
     for left_out in RULES:
         rules = [rule for rule in RULES if rule is not left_out]
@@ -344,8 +344,8 @@ def settings() -> pd.DataFrame:
     ]
     full = _measured(cases)
     rows = []
-    for field in fields(Settings):
-        usual = getattr(Settings(), field.name)
+    for field in fields(FocusSettings):
+        usual = getattr(FocusSettings(), field.name)
         row: dict[str, object] = {"setting": field.name, "usual": str(usual)}
         for factor in (0.5, 2.0):
             value = (
@@ -355,7 +355,7 @@ def settings() -> pd.DataFrame:
                 if isinstance(usual, int)
                 else factor * usual
             )
-            changed = replace(Settings(), **{field.name: value})
+            changed = replace(FocusSettings(), **{field.name: value})
             found = _compared(_measured(cases, settings=changed), full)
             row |= {f"×{factor:g}: {k}": v for k, v in found.items()}
         rows.append(row)

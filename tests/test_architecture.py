@@ -95,6 +95,20 @@ def test_a_core_refers_to_its_extension_in_one_place(room):
     assert users == {face}
 
 
+#: Folders of what a core and its extension share.
+SHARED = {"focus": "common"}
+
+
+@pytest.mark.parametrize("room", SHARED)
+def test_an_extension_does_not_refer_to_its_core_nor_what_they_share_to_either(room):
+    extension, shared = EXTENSIONS[room][0], SHARED[room]
+    for folder, allowed in ((extension, {extension, shared}), (shared, {shared})):
+        for path in sources(PACKAGE / room / folder):
+            for name in imported(path):
+                first, _, rest = name.partition(f"microlib.{room}.")
+                assert first or rest.split(".")[0] in allowed, f"{path.name} imports {name}"
+
+
 #: Imports of private modules by tests and benchmarks; each is to go where a public name shows the
 #: same. Whoever needs another one takes one away.
 MOST_PRIVATE_IMPORTS = 15

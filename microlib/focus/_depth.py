@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from microlib._common import Array, Frames, Image, whole
+from microlib._common import Frames, whole
 from microlib.focus import multiscale
-from microlib.focus._filters import blur
 from microlib.focus._measures import FocusMeasure, single_measure
-from microlib.focus._peaks import three_point_peak, track_peaks
 from microlib.focus._registration import register as find_registration
-from microlib.focus._result import DepthMap, FocusResult, build_result
+from microlib.focus._result import FocusResult, build_result
 from microlib.focus._stack import (
     Progress,
     bad_frames,
@@ -25,6 +21,7 @@ from microlib.focus._stack import (
     warn_of_changes,
     with_frames,
 )
+from microlib.focus._three_point import three_point_depth
 from microlib.io import read_frames
 
 
@@ -178,55 +175,3 @@ def depth_from_focus(
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
     return build_result(found, stack, kept, dtype, registration=registration, margin=margin)
-
-
-def three_point_depth(
-    frames: Sequence[Image],
-    positions: Array,
-    measure: FocusMeasure,
-    done: Callable[[float], object],
-) -> DepthMap:
-    """Return the depth at the three-point peaks of one measure, (3.13)."""
-    peaks = track_peaks(frames, measure, done)
-    depth = three_point_peak(peaks.window, peaks.best, positions)
-    significance = multiscale.peak_significance(peaks.profiles, peaks.window[1], 3)
-    depth[significance.insignificant] = np.nan
-    spacing = float(np.median(np.abs(np.diff(positions))))
-    rough = _roughness(depth, positions, peaks.best)
-    bias = np.float32(_shape_error(peaks.profiles, positions, spacing))
-    random = np.float32(np.ptp(positions)) * significance.random_error
-    return DepthMap(
-        depth=depth,
-        uncertainty=np.sqrt(rough * rough + bias * bias + random * random),
-        frame=peaks.best,
-        at_end=(peaks.best == 0) | (peaks.best == len(positions) - 1),
-        spacing=spacing,
-    )
-
-
-def _shape_error(profiles: NDArray, positions: Array, spacing: float) -> float:
-    """Return the bias of three-point peaks by the shape of the profiles, µm."""
-    some = max(round(np.sqrt(profiles[0].size / 2000)), 1)
-    profiles = profiles[:, ::some, ::some]
-    _, centers = multiscale.find_symmetry(profiles, positions, spacing)
-    best = np.clip(profiles.argmax(axis=0), 1, len(profiles) - 2)
-    around = best + np.arange(-1, 2)[:, None, None]
-    peaks = three_point_peak(np.take_along_axis(profiles, around, axis=0), best, positions)
-    way = np.sign(positions[-1] - positions[0])
-    return float(np.hypot(*multiscale.shape_error(way * peaks, way * centers, way * positions)))
-
-
-def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Return the local root mean square of the depth after a high-pass filter, µm.
-
-    The difference from a Gaussian mean (σ = 8 px) is taken four times in a row, (1 − G)⁴: slopes
-    and curvature leave no trace in it, and errors that change within some ten pixels pass. Taken
-    on every second pixel, with the best frame's position where there is no depth.
-    """
-    # From the middle of the stack, where float32 has digits to spare.
-    rough, frame = depth[::2, ::2], positions[index[::2, ::2]]
-    rough = (np.where(np.isnan(rough), frame, rough) - positions.mean()).astype(np.float32)
-    for _ in range(4):
-        rough = rough - blur(rough, 4.0)
-    rough = np.sqrt(np.maximum(cv2.boxFilter(rough * rough, -1, (3, 3)), 0))
-    return np.asarray(cv2.resize(rough, depth.shape[::-1]))

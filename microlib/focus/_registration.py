@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image
-from microlib.io import read_frames
+from microlib._common import TUKEY_LIMIT, Array, Image, robust_std, tukey_weights
 
 #: Least side of a frame that can be registered, px, and the shorter side above which frames are
 #: reduced by whole blocks before they are compared.
@@ -90,7 +89,7 @@ def register(frames: Sequence[Image]) -> Registration:
             f"frames must be at least {_MIN_SIDE} px on each side to be registered, got {shape}"
         )
     factor = max(min(shape) // _WORKING_SIDE, 1)
-    small = list(read_frames((frame.astype(np.float32) for frame in frames), reduce=factor))
+    small = [_block_means(frame.astype(np.float32), factor) for frame in frames]
     # A band-pass filter: coarser than noise and finer than the illumination.
     bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
     # If the middle frame shows another scene, its neighbors hardly do.
@@ -120,6 +119,13 @@ def register(frames: Sequence[Image]) -> Registration:
     for k in kept:
         warps[k] = (scale @ relative[int(k)] @ np.linalg.inv(scale))[:2]
     return Registration(kept=kept, warps=warps, gain=gain, offset=offset)
+
+
+def _block_means(image: NDArray, side: int) -> NDArray:
+    """Return the means of square blocks; rows and columns that are left over are cut off."""
+    rows, cols = (n // side for n in image.shape)
+    whole = image[: rows * side, : cols * side]
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA))
 
 
 def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:
@@ -165,13 +171,13 @@ def _blur_columns(mean: NDArray) -> list[NDArray]:
 
 def _robust(design: NDArray, target: NDArray) -> Array:
     """Return the coefficients of the rows of a design, an M-estimate with Tukey's biweight."""
-    weight = np.ones_like(target)
+    weight, rounding = np.ones_like(target), np.finfo(np.float32).eps * np.abs(target).max()
     for _ in range(2):
         weighted = design * weight
         found = np.linalg.lstsq(weighted @ design.T, weighted @ target, rcond=1e-9)[0]
         off = target - found.astype(np.float32) @ design
-        share = off / np.float32(max(7 * np.median(np.abs(off)), 1e-30))
-        weight = np.maximum(1 - share * share, 0) ** 2
+        limit = max(TUKEY_LIMIT * robust_std(off), rounding)
+        weight = tukey_weights(off, limit) if limit else weight
     return found
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image, Tidy, flat_row
 from microlib.focus._registration import Registration
+from microlib.focus.common import DepthMap
 from microlib.io import Stack
 
 
@@ -153,31 +154,6 @@ class FocusResult(Tidy):
         from microlib._plots import maps
 
         return maps(self, ax, unit)
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """Depth of every pixel of a stack, before it is brought into the form of a result.
-
-    Attributes
-    ----------
-    depth : ndarray of float32, shape (rows, cols)
-        Depth, µm; NaN where unknown.
-    uncertainty : ndarray of float32, shape (rows, cols)
-        Standard deviation of the depth, µm.
-    frame : ndarray of int, shape (rows, cols)
-        Number of the frame that shows the pixel sharpest, also where there is no depth.
-    at_end : ndarray of bool, shape (rows, cols)
-        Whether the sharpest frame is the first or the last.
-    spacing : float
-        Distance of the frames, µm.
-    """
-
-    depth: NDArray[np.float32]
-    uncertainty: NDArray[np.float32]
-    frame: NDArray[np.integer]
-    at_end: NDArray[np.bool_]
-    spacing: float
 
 
 def build_result(

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Image
-from microlib.focus._filters import TINY
-from microlib.focus._peaks import check_count, check_positions
+from microlib._common import Array, Image, as_array, scalar
+from microlib.focus.common import TINY
 from microlib.io import Stack
 
 #: Called with the parts of the work that are done, and of how many; an exception ends the work.
@@ -48,6 +47,38 @@ def read_stack(
     z = check_positions(positions, spacing, len(images)) if z is None else z
     check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
     return with_frames(source, images, z)
+
+
+def check_positions(
+    positions: ArrayLike | None,
+    spacing: float | None = None,
+    count: int = 0,
+    from_file: ArrayLike | None = None,
+) -> Array:
+    """Return the positions of all frames, µm: given, evenly spaced, or from the file."""
+    if spacing is not None:
+        if positions is not None:
+            raise ValueError("positions and spacing must not both be given")
+        positions = scalar("spacing", spacing) * np.arange(count)
+    positions = from_file if positions is None else positions
+    if positions is None:
+        raise ValueError(
+            "positions or spacing must be given, got None and frames without positions of their own"
+        )
+    z = as_array("positions", positions, shape=(None,))
+    if not 3 <= len(z) < 2**16:  # frames are counted in 16 bits
+        raise ValueError(f"positions must hold 3 to 65535 values, got {len(z)}")
+    for at in np.flatnonzero(np.diff(z) * np.sign(z[-1] - z[0]) <= 0):
+        raise ValueError(
+            f"positions must rise or fall strictly, got {z[at]:g} followed by {z[at + 1]:g}"
+        )
+    return z
+
+
+def check_count(got: int | str, count: int) -> None:
+    """Raise an error if there are not as many frames as positions."""
+    if got != count:
+        raise ValueError(f"frames and positions must be equal in number, got {got} and {count}")
 
 
 def with_frames(stack: Stack, frames: Sequence[Image], positions: Array) -> Stack:

@@ -32,12 +32,12 @@ def test_correct_spikes_equals_equation_3_14_with_its_erratum(m, delta, unknown)
     assert (ours != depth)[np.isfinite(depth)].any()
 
 
-def planes(depth, mass, jump, radius):
+def planes(depth, mass, jump, sigma):
     """The documented smoothing pixel by pixel, its planes by least squares with a weak prior."""
-    stride = max(1, round(radius / 1.75))
-    reach = stride * int(2 * radius / stride)
+    stride = max(1, round(sigma / 1.75))
+    reach = stride * int(2 * sigma / stride)
     steps = range(-reach, reach + 1, stride)
-    offsets = [(i, j) for i in steps for j in steps if i * i + j * j <= 4 * radius**2]
+    offsets = [(i, j) for i in steps for j in steps if i * i + j * j <= 4 * sigma**2]
     smooth, rest = np.zeros_like(depth), depth.copy()
     for _ in range(2):
         once = rest.copy()
@@ -51,17 +51,17 @@ def planes(depth, mass, jump, radius):
             i, j, value, share = np.array(near).T
             difference = (value - here) / jump
             weight = share * np.clip(1 - difference**2, 0, None) ** 2
-            weight *= np.exp(-(i**2 + j**2) / (2 * radius**2))
+            weight *= np.exp(-(i**2 + j**2) / (2 * sigma**2))
             design = np.column_stack([np.ones_like(i), i, j])
             normal = design.T @ (weight[:, None] * design)
             # Where there is hardly a neighbor.
-            normal += np.diag([0, 1, 1]) * 0.001 * radius**2 * weight.sum()
+            normal += np.diag([0, 1, 1]) * 0.001 * sigma**2 * weight.sum()
             once[row, col] = here + np.linalg.solve(normal, design.T @ (weight * (value - here)))[0]
         smooth, rest = smooth + once, rest - once
     return smooth
 
 
-@pytest.mark.parametrize("options", [{}, {"radius": 2.0}, {"radius": 4.4}])
+@pytest.mark.parametrize("options", [{}, {"sigma": 2.0}, {"sigma": 4.4}])
 def test_smooth_depth_equals_local_planes_of_known_depths_by_least_squares(options):
     """On a curved slope with a step of two jumps and a hole."""
     rng = np.random.default_rng(6)
@@ -70,7 +70,7 @@ def test_smooth_depth_equals_local_planes_of_known_depths_by_least_squares(optio
     depth[12:16, 3:8] = np.nan
     known = np.isfinite(depth)
     ours = smooth_depth(depth, jump=4.0, **options)
-    wanted = planes(np.nan_to_num(depth), known.astype(float), 4.0, options.get("radius", 7.0))
+    wanted = planes(np.nan_to_num(depth), known.astype(float), 4.0, options.get("sigma", 7.0))
     np.testing.assert_array_equal(np.isfinite(ours), known)
     # Sums in single precision, of depths of some jumps.
     np.testing.assert_allclose(ours[known], wanted[known], atol=1e-4)

@@ -7,8 +7,19 @@ from hypothesis import strategies as st
 
 from microlib import synthetic
 from microlib.focus import three_point_peak
-from microlib.focus.multiscale import _axis, _fit, _measure, _reject, _relief, _settings
-from tests.focus.scenes import gaussian_blur, inner, rms
+from microlib.focus.multiscale import (
+    _axis,
+    _fit,
+    _measure,
+    _relief,
+    _rules,
+    _settings,
+    _tiles,
+    multiscale_depth,
+)
+from microlib.focus.multiscale._peaks import Peaks
+from tests.focus.scenes import gaussian_blur, inner, rms, stack_of
+from tests.scenes import tilted_plane
 
 
 @settings(deadline=None, max_examples=100)
@@ -94,10 +105,10 @@ def test_noise_level_is_that_of_untextured_ground():
     for sigma in (2.0, 5.0):
         frame = 128 + sigma * rng.standard_normal((200, 200))
         frame[:, :150] += 40 * rng.standard_normal((200, 150))
-        seen = _axis.sample_tiles(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
-        # The quietest twentieth lies two scatters of a 3 px window below the mean.
-        assert 0.7 * sigma < _axis.noise_level(seen) < 1.1 * sigma
-    assert _axis.noise_level(_axis.sample_tiles(np.zeros((32, 32), np.float32))) > 0
+        seen = _tiles.sample_tiles(np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        # A quarter of the tiles is untextured; the flattest tenth of all is more than their median.
+        assert sigma < _tiles.noise_level(seen) < 1.3 * sigma
+    assert _tiles.noise_level(_tiles.sample_tiles(np.zeros((32, 32), np.float32))) > 0
 
 
 @pytest.mark.parametrize("deviation", [2.0, 4.5])
@@ -105,8 +116,8 @@ def test_peak_width_of_gaussian_profiles_is_their_area_over_height(deviation):
     """Contrast that is a Gaussian of the frame gives such profiles, 2.51 deviations wide."""
     texture = synthetic.mixed_texture((120, 140), 5, mean=0.0, std=20.0)
     frames = np.exp(-0.5 * ((np.arange(60.0) - 27) / deviation) ** 2)
-    tiles = [_axis.sample_tiles(np.float32(texture * contrast)) for contrast in frames]
-    assert _axis.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * deviation, rel=0.01)
+    tiles = [_tiles.sample_tiles(np.float32(texture * contrast)) for contrast in frames]
+    assert _tiles.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * deviation, rel=0.01)
 
 
 def test_illumination_drift_bias_is_the_shift_of_a_gaussian_by_light():
@@ -122,7 +133,7 @@ def test_illumination_drift_bias_is_the_shift_of_a_gaussian_by_light():
 
 
 def test_find_relief_keeps_what_both_directions_show_and_drops_what_one_shows():
-    rng, shape, settings = np.random.default_rng(6), (120, 150), _settings.Settings()
+    rng, shape, settings = np.random.default_rng(6), (120, 150), _settings.FocusSettings()
     y, x = np.indices(shape, np.float32)
     waves, squared = 0.6 * np.sin(x / 2) * np.sin(y / 2.5), 1 / 2**2 + 1 / 2.5**2
     # Smooth as the noise of a measure is; of a standard deviation of 1 step.
@@ -152,8 +163,22 @@ def test_rules_reject_small_pieces_and_isolated_depths_only():
     depth[alone] = 5.0
     zero = np.zeros_like(depth)
     no, bounds = zero > 0, (zero, zero + 9)
-    peaks = _reject.Peaks(depth, zero + 1, zero, zero, no, no, *bounds, zero)
-    for rule in _reject.RULES:
-        peaks = peaks.without(rule(peaks, _settings.Settings()))
+    peaks = Peaks(depth, zero + 1, zero, zero, no, no, *bounds, zero, zero.astype(np.uint16), 5)
+    for rule in _rules.RULES:
+        peaks = peaks.without(rule(peaks, _settings.FocusSettings()))
     depth[small] = depth[alone] = np.nan
     np.testing.assert_array_equal(peaks.depth, depth)
+
+
+def test_a_rule_can_reject_the_peaks_of_the_end_frames():
+    def end_mask(peaks, settings):
+        return (peaks.best == 0) | (peaks.best == peaks.count - 1)
+
+    positions = np.linspace(0, 10, 31)
+    frames = list(stack_of(tilted_plane((92, 100), 0.14, 0.0) + 5, positions))
+    every = multiscale_depth(frames, positions)
+    inside = multiscale_depth(frames, positions, rules=[*_rules.RULES, end_mask])
+    assert 0.2 < every.at_end.mean() < 0.5
+    np.testing.assert_array_equal(
+        np.isfinite(inside.depth), np.isfinite(every.depth) & ~every.at_end
+    )

@@ -76,7 +76,7 @@ LAWS = {
         "positions": u.z0 + Z * u.um, "measure": partial(sum_modified_laplacian, window=7)},
         MAPS, within=SINGLE),
     "focus.smooth_depth": Row(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
-        "radius": 4.0}, um.counted_from("z0"), within=SINGLE),
+        "sigma": 4.0}, um.counted_from("z0"), within=SINGLE),
     "focus.sum_modified_laplacian": Row(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
         "window": 5, "step": 2, "threshold": 9.5 * u.grey}, grey, within=SINGLE),
     "focus.three_point_peak": Row(lambda u: {"window": WINDOW * u.grey, "index": INDEX,

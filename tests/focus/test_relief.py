@@ -9,7 +9,7 @@ from skimage import data
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus.multiscale._relief import find_relief
-from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._settings import FocusSettings
 from tests.focus.scenes import inner, rms, stack_of
 from tests.scenes import straight_step, tilted_plane
 
@@ -78,7 +78,7 @@ def test_relief_is_finite_beside_ground_without_weight():
             (rng.normal(0, 1, weight.shape) * 10.0 ** rng.uniform(-9, 0, weight.shape)).astype("f4")
             for _ in range(2)
         )
-        relief, half_difference = find_relief(along, down, weight, Settings())
+        relief, half_difference = find_relief(along, down, weight, FocusSettings())
         assert np.abs([relief, half_difference]).max() < 10
 
 

@@ -7,20 +7,19 @@ the modulus, and averages do not remove what noise adds to that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus._filters import TINY, blur
-from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gain
-from microlib.focus.multiscale._symmetry import Symmetry
-
-#: Tiles along each side of the image from which a stack's properties are estimated, their side,
-#: and the border of each that its neighbor influences, px.
-_TILES, _TILE, _SEAM = 6, 48, 12
+from microlib.focus.common import Spread, Symmetry, find_symmetry, halved, shape_error
+from microlib.focus.multiscale._fit import fit_peaks
+from microlib.focus.multiscale._profiles import PeakTracker, find_profiles
+from microlib.focus.multiscale._settings import FocusSettings
+from microlib.focus.multiscale._tiles import every_other_tile, noise_level, peak_width, sample_tiles
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,10 @@ class Axis:
         Group k is the mean of the frames from ``ends[k]`` to ``ends[k + 1]``, exclusive.
     positions : ndarray, shape (n,)
         Positions of all frames, µm.
-    means, spacing
-        Position of each group, and their distance, µm.
-    steps : ndarray, shape (groups,)
-        Coordinate of each group in spacings from the first; it always rises.
+    spacing : float
+        Distance of the groups, µm.
+    coordinates : ndarray, shape (groups,)
+        Frame coordinate of each group: its distance from the first, in spacings. It always rises.
     noise : float
         Standard deviation of the noise of an averaged frame, grey levels.
     drift_bias : ndarray, shape (groups,)
@@ -44,42 +43,36 @@ class Axis:
     locking : float
         Largest peak-locking bias, towards the nearest averaged frame.
     symmetry : Symmetry
-        Coordinate of the steps.
+        The coordinate in which focus curves are symmetric, from which the frame coordinates follow.
     shape_error : (float, float)
-        Bias of a depth by the shape of the peaks, steps: constant, and between the frames.
+        Bias of a depth by the shape of the peaks, averaged frames: constant, and between the
+        frames.
     """
 
     ends: NDArray[np.intp]
     positions: Array
-    means: Array
     spacing: float
-    steps: Array
+    coordinates: Array
     noise: float
     drift_bias: Array
     locking: float
     symmetry: Symmetry
-    shape_error: tuple[float, float] = (0.0, 0.0)
+    shape_error: tuple[float, float]
 
-    def micrometers(self, steps: NDArray) -> NDArray:
-        """Return positions from steps, within the stack."""
-        z, (first, unit) = self.positions, self._scale()
-        low, high = np.sort(self.symmetry.coordinate(z[[0, -1]])).astype(np.float32)
-        u = np.clip(np.float32(first) + np.float32(unit) * steps, low, high)
-        return np.clip(self.symmetry.position(u), np.float32(z.min()), np.float32(z.max()))
+    def micrometers(self, coordinates: NDArray) -> NDArray:
+        """Return the positions of frame coordinates, within the stack."""
+        z, u = self.positions, self.symmetry.coordinate(self.positions)
+        first, unit = group_means(u, self.ends)[0], np.sign(u[-1] - u[0]) * self.spacing
+        low, high = np.float32(u.min()), np.float32(u.max())
+        found = np.clip(np.float32(first) + np.float32(unit) * coordinates, low, high)
+        return np.clip(self.symmetry.position(found), np.float32(z.min()), np.float32(z.max()))
 
-    def step(self, z: NDArray) -> NDArray:
-        """Return the steps of positions."""
-        first, unit = self._scale()
-        return np.asarray((self.symmetry.coordinate(z) - first) / unit)
-
-    def _scale(self) -> tuple[float, float]:
-        """Return the coordinate of the first group, and that of one step further less this one."""
-        first = group_means(self.symmetry.coordinate(self.positions), self.ends)[0]
-        return float(first), float(np.sign(self.positions[-1] - self.positions[0]) * self.spacing)
-
-    def frame(self, frames: Sequence[Image], k: int, view: tuple[slice, ...]) -> Image:
-        """Return a part of the image in group k."""
-        return averaged([frame[view] for frame in frames[self.ends[k] : self.ends[k + 1]]])
+    def averaged_frames(
+        self, frames: Sequence[Image], rows: slice = slice(None)
+    ) -> Iterator[Image]:
+        """Yield some rows of the averaged frames."""
+        for start, end in pairwise(self.ends):
+            yield averaged([frame[rows] for frame in frames[start:end]])
 
 
 def averaged(frames: Sequence[Image]) -> Image:
@@ -92,114 +85,84 @@ def group_means(values: Array, ends: NDArray[np.intp]) -> Array:
     return np.asarray(np.add.reduceat(values, ends[:-1]) / np.diff(ends))
 
 
-def tile_pixels(length: int) -> NDArray[np.intp]:
-    """Return the rows, or the columns, of the tiles of an image."""
-    starts = np.linspace(0, max(length - _TILE, 0), _TILES).astype(np.intp)
-    return (starts[:, None] + np.arange(min(_TILE, length))).ravel()
-
-
-def sample_tiles(frame: Image) -> Image:
-    """Return the tiles of a frame side by side."""
-    rows, cols = (tile_pixels(n) for n in frame.shape)
-    return frame[rows][:, cols]
-
-
-def find_axis(
-    tiles: Sequence[Image], positions: Array, target: float, symmetry: Symmetry | None = None
+def describe_axis(
+    frames: Sequence[Image], positions: Array, settings: FocusSettings, spread: Spread = map
 ) -> Axis:
-    """Return the groups in which a stack is averaged, their noise and their biases.
+    """Return the groups in which the frames of a stack are averaged, their noise and their biases.
 
     Parameters
     ----------
-    tiles : sequence of ndarray
-        The `sample_tiles` of each frame.
+    frames : sequence of ndarray, shape (rows, cols)
+        All frames.
     positions : ndarray, shape (n,)
         Position of each frame, µm.
-    target : float
-        Equivalent width that a peak shall have in averaged frames.
-    symmetry : Symmetry, optional
-        Coordinate in which the groups are equally long, by default equal numbers of frames.
+    settings : FocusSettings
+        Settings of the measures, and the width that a peak shall have.
+    spread : callable
+        `map`, or that of a pool of threads.
     """
-    count, width = len(tiles), peak_width(tiles)
-    groups = max(count // max(round(width / target), 1), 3)
-    ends = np.arange(groups + 1) * count // groups
+    tiles = list(spread(sample_tiles, frames))
+    few = [every_other_tile(tile) for tile in tiles]
+    count, width = len(frames), peak_width(tiles, spread)
+    fewer = max(count // max(round(width / settings.width), 1), 3)
+    ends = np.arange(fewer + 1) * count // fewer
     spacing = float(np.median(np.abs(np.diff(group_means(positions, ends)))))
-    u = positions
-    if symmetry is not None:
-        u = symmetry.coordinate(positions)
-        if groups < count:
-            group = (np.abs(u - u[0]) / spacing + 0.5).astype(int)
-            starts = np.unique(group, return_index=True)[1]
-            ends = np.append(starts, count) if len(starts) > 2 else ends
-            groups = len(ends) - 1
-    levels = np.array([float(np.mean(tile)) for tile in tiles])
-    means, light, u = (group_means(values, ends) for values in (positions, levels, u))
-    # Of three, so that no single frame decides, such as a black one or one that is all in focus.
-    samples = (averaged(tiles[ends[k] : ends[k + 1]]) for k in (0, groups // 2, groups - 1))
+    noise = _noise(tiles, np.arange(count + 1))
+    profiles = find_profiles(few, count, few[0].shape, noise, settings).product
+    blocks = np.stack([halved(image) for image in profiles.profiles(slice(None))])
+    symmetry, centers = find_symmetry(blocks, positions, spacing)
+    u = symmetry.coordinate(positions)
+    if symmetry.bend and fewer < count:  # groups of equal length in the symmetric coordinate
+        number = (np.abs(u - u[0]) / spacing + 0.5).astype(int)
+        starts = np.unique(number, return_index=True)[1]
+        ends = np.append(starts, count) if len(starts) > 2 else ends
+    noise = _noise(tiles, ends)
+    if len(ends) <= count:
+        means = (averaged(few[start:end]) for start, end in pairwise(ends))
+        profiles = find_profiles(means, len(ends) - 1, few[0].shape, noise, settings).product
+    first, *_ = middles = group_means(u, ends)
+    way = np.sign(u[-1] - u[0])
+    coordinates = way * (middles - first) / spacing
+    center = way * (symmetry.coordinate(centers) - first) / spacing
+    light = group_means(np.array([float(np.mean(tile)) for tile in tiles]), ends)
     width = max(width * float(np.median(np.abs(np.diff(positions)))) / spacing, 1.7)
     return Axis(
         ends=ends,
         positions=positions,
-        means=means,
         spacing=spacing,
-        steps=np.abs(u - u[0]) / spacing,
-        noise=float(np.median([noise_level(sample) for sample in samples])),
+        coordinates=coordinates,
+        noise=noise,
         # The peak of the product has a standard deviation of 0.4 of its equivalent width.
         drift_bias=illumination_drift_bias(light, min(0.4 * width, 3.0)),
         # Half a frame over the fourth power of the width: 0.4 to 0.7 on nine textures.
         locking=0.5 / width**4,
-        symmetry=symmetry or Symmetry(),
+        symmetry=symmetry,
+        shape_error=_shape_error(profiles, coordinates, center),
     )
 
 
-def peak_width(tiles: Sequence[Image]) -> float:
-    """Return the equivalent width of the peaks of a stack's focus measure, in frames.
+def _noise(tiles: Sequence[Image], ends: NDArray[np.intp]) -> float:
+    """Return the noise of averaged frames: the median of the first, the middle and the last.
 
-    Area of the peak over its height, both above the profile's 20th percentile: the median over the
-    half of the samples that have the higher peaks. One where no peak stands out.
+    No single frame decides, such as a black one, or one that is all in focus.
     """
-    profiles = []
-    for tile in tiles:
-        # Fine detail, as coarse texture has wide peaks of its own; averaged over 2 px, so that
-        # noise does not choose the highest frame.
-        seconds = np.add(*abs_second_derivatives(tile, 0.8))
-        profiles.append(_inner(blur(seconds, 2.0))[..., ::4, ::4].ravel())
-    above = np.array(profiles)
-    above -= np.percentile(above, 20, axis=0)
-    height = above.max(axis=0)
-    clear = (height >= np.median(height)) & (height > 0)
-    return float(np.median(above.sum(axis=0)[clear] / height[clear])) if clear.any() else 1.0
+    numbers = (0, (len(ends) - 1) // 2, len(ends) - 2)
+    return float(np.median([noise_level(averaged(tiles[ends[k] : ends[k + 1]])) for k in numbers]))
 
 
-def noise_level(tiles: Image) -> float:
-    """Estimate the noise of a frame from its quietest twentieth, grey levels.
+def _shape_error(profiles: PeakTracker, coordinates: Array, center: Array) -> tuple[float, float]:
+    """Return the bias by what the shape of the peaks leaves: constant, and between the frames.
 
-    No less than the rounding to whole grey levels makes, or the digits of float32.
+    It shows between the fit, the center of the profiles, and a narrower fit.
     """
-    seconds = np.add(*abs_second_derivatives(tiles, 0.5))
-    quiet = float(np.percentile(_inner(blur(seconds, 3.0)), 5)) / noise_gain(0.5)
-    rounding = np.sqrt(1 / 12) if tiles.dtype.kind == "u" else 0.0
-    digits = 1e-5 * float(np.abs(tiles).max())
-    return max(quiet, rounding, digits, float(TINY))
-
-
-def _split(tiles: NDArray) -> NDArray:
-    """Return tiles side by side as an array of shape (tiles, tiles, rows, cols)."""
-    rows, cols = (n // _TILES for n in tiles.shape)
-    return tiles.reshape(_TILES, rows, _TILES, cols).swapaxes(1, 2)
-
-
-def every_other_tile(tiles: Image) -> Image:
-    """Return every other tile along each side, side by side."""
-    few = _split(tiles)[::2, ::2].swapaxes(1, 2)
-    return np.ascontiguousarray(few).reshape([n // 2 for n in tiles.shape])
-
-
-def _inner(tiles: NDArray) -> NDArray:
-    """Return tiles without the borders that their neighbors influence."""
-    separate = _split(tiles)
-    down, along = (_SEAM if n == _TILE else 0 for n in separate.shape[2:])
-    return separate[:, :, down : separate.shape[2] - down, along : separate.shape[3] - along]
+    window, best = profiles.windows()[0], profiles.best
+    depth, narrow = (
+        halved(fit_peaks(window, best, coordinates, narrowing=factor)[0])
+        for factor in (1.0, np.sqrt(2))
+    )
+    pairs = (shape_error(other, center, coordinates) for other in (depth, center + depth - narrow))
+    constant, periodic = np.hypot(*np.array(list(pairs)))
+    return float(constant), float(periodic)
 
 
 def illumination_drift_bias(light: Array, deviation: float) -> Array:

@@ -1,4 +1,4 @@
-"""Gaussian fits to the profiles of focus measures, over seven frames, and the profiles' tracker.
+"""Gaussian fits to the profiles of focus measures, over seven frames.
 
 The logarithm of the measure is fitted by a parabola, because Gaussian blur makes the measure of a
 pixel nearly a Gaussian of the distance from focus, (3.9).
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.focus._filters import TINY
+from microlib.focus.common import TINY
 
 #: Pixels that are fitted at a time: their windows stay in the processor's cache.
 _BAND = 16384
@@ -25,13 +25,13 @@ class Neighborhood(NamedTuple):
     Attributes
     ----------
     position : ndarray, shape (n,)
-        Of the best frame, steps.
+        Frame coordinate of the best frame.
     lowest, highest : ndarray, shape (n,)
         Limits of the vertex, from that position.
     inverse_width : ndarray, shape (n,)
         One over half the width of the window of weights.
     offset : ndarray, shape (2 reach + 1, n)
-        Positions of the frames of the window, from that of the best one.
+        Frame coordinates of the window, from that of the best one.
     """
 
     position: NDArray[np.float32]
@@ -46,12 +46,12 @@ class Neighborhood(NamedTuple):
 
 
 def neighborhoods(
-    steps: Array, reach: int, beyond: float = 0.0, narrowing: float = 1.0
+    coordinates: Array, reach: int, beyond: float = 0.0, narrowing: float = 1.0
 ) -> Neighborhood:
     """Return the neighborhood of every frame; arguments as `fit_peaks` has them."""
-    last, number = len(steps) - 1, np.arange(len(steps))
+    last, number = len(coordinates) - 1, np.arange(len(coordinates))
     around = np.clip(number + np.arange(-reach, reach + 1)[:, None], 0, last)
-    offset = steps[around] - steps
+    offset = coordinates[around] - coordinates
     lowest, highest = offset[reach - 1].copy(), offset[reach + 1].copy()
     gap = np.maximum(-lowest, highest)
     lowest[0], highest[-1] = -beyond, beyond
@@ -59,18 +59,20 @@ def neighborhoods(
     # stack there is one side only, and two frames of it make up the least three.
     half = np.minimum(np.minimum(number, last - number), reach)
     half[half == 0] = 2
-    before, after = (steps[np.clip(number + s * half, 0, last)] - steps for s in (-1, 1))
+    before, after = (
+        coordinates[np.clip(number + s * half, 0, last)] - coordinates for s in (-1, 1)
+    )
     # The window moves to the vertex, which is half a frame away at most, or a whole one at an end
     # of the stack: no frame of three may lose its weight by that.
     width = np.maximum(-before, after) + np.where(half > 1, 0.5, 1.0) * gap
-    fields = (steps, lowest, highest, narrowing / width, offset)
+    fields = (coordinates, lowest, highest, narrowing / width, offset)
     return Neighborhood(*(field.astype(np.float32) for field in fields))
 
 
 def fit_peaks(
     window: NDArray[np.float32],
     best: NDArray[np.unsignedinteger],
-    steps: Array,
+    coordinates: Array,
     *,
     near: NDArray[np.float32] | None = None,
     within: float = 0.0,
@@ -85,8 +87,8 @@ def fit_peaks(
         Measures of the best frame, in the middle, and of its neighbors; 0 beyond the stack.
     best : ndarray of int, shape (rows, cols)
         Number of the best frame.
-    steps : ndarray, shape (n,)
-        Position of each frame, rising.
+    coordinates : ndarray, shape (n,)
+        Frame coordinate of each frame, rising.
     near : ndarray of float32, shape (rows, cols), optional
         A depth around which the peak is sought, instead of around the best frame.
     within : float
@@ -99,7 +101,7 @@ def fit_peaks(
     Returns
     -------
     depth : ndarray of float32, shape (rows, cols)
-        Vertex, in the unit of the steps. NaN where the measure is flat, or its logarithm opens
+        Vertex, a frame coordinate. NaN where the measure is flat, or its logarithm opens
         upwards; there an end frame of the stack gives its own position. A vertex beyond the
         neighboring frames or outside of the stack is moved to them.
     strength : ndarray of float32, shape (rows, cols)
@@ -115,7 +117,7 @@ def fit_peaks(
     peak is only known after a first fit, so there are two. Near the ends of the stack the window
     is narrower for the same reason, to no less than three frames.
     """
-    frames = neighborhoods(steps, len(window) // 2, beyond, narrowing)
+    frames = neighborhoods(coordinates, len(window) // 2, beyond, narrowing)
     rows, cols = best.shape
     depth, strength = np.empty((2, rows, cols), np.float32)
     band = max(1, _BAND // cols)
@@ -188,44 +190,3 @@ def _parabola(weight: NDArray, x: NDArray, y: NDArray) -> tuple[NDArray, NDArray
     curvature = (y2 - slope * y1 - level * y0) / norm
     curvature[~(norm * total > 1e-6 * variance * variance)] = 0
     return mean + (slope - y1 / (variance * curvature)) / 2, curvature
-
-
-class PeakTracker:
-    """Profiles of focus measures over the frames, and each pixel's frame with the highest one.
-
-    Parameters
-    ----------
-    count, kinds : int
-        Number of frames, and of measures of each; the first measure decides.
-    shape : tuple of int
-        Rows and columns.
-    reach : int
-        Number of frames to either side of the best one that `windows` returns.
-    """
-
-    def __init__(self, count: int, kinds: int, shape: tuple[int, ...], reach: int) -> None:
-        self._reach = reach
-        self._measures = np.zeros((kinds, count + 2 * reach, *shape), np.float32)
-        self.top, self.best = np.zeros(shape, np.float32), np.zeros(shape, np.uint16)
-
-    def push(self, k: int, *measures: NDArray) -> None:
-        """Add the measures of frame k."""
-        for kind, value in enumerate(measures):
-            self._measures[kind, k + self._reach] = value
-        value = measures[0]
-        number = np.multiply(value > self.top, np.uint16(k), dtype=np.uint16)
-        cv2.max(value, self.top, self.top)
-        cv2.max(self.best, number, self.best)
-
-    def profiles(self, rows: slice) -> NDArray[np.float32]:
-        """Return the deciding measure of all frames, shape (n, rows, cols)."""
-        count = self._measures.shape[1] - 2 * self._reach
-        return self._measures[0, self._reach : self._reach + count, rows]
-
-    def windows(self, rows: slice = slice(None)) -> NDArray[np.float32]:
-        """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""
-        best = self.best[rows]
-        pixel = np.arange(self.best.size).reshape(self.best.shape)[rows]
-        frame = best.astype(np.intp) + np.arange(2 * self._reach + 1)[:, None, None]
-        measures = self._measures.reshape(len(self._measures), -1)
-        return np.take(measures, pixel + frame * self.best.size, axis=1, mode="clip")

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Image
-from microlib.focus._filters import blur, halved
-from microlib.focus.multiscale._settings import Settings
+from microlib.focus.common import blur, halved
+from microlib.focus.multiscale._settings import FocusSettings
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,12 @@ class NoiseFloor:
     edge: float
 
     @classmethod
-    def of(cls, noise: float, settings: Settings) -> NoiseFloor:
+    def of(cls, noise: float, settings: FocusSettings) -> NoiseFloor:
         """Return the floor for noise of a standard deviation in grey levels, white in the frame."""
-        coarse = 0.5 * noise * noise_gain(settings.coarse)  # half size: the mean of four pixels
-        return cls(noise * noise_gain(settings.fine), coarse, 0.4 * noise)
+        coarse = (
+            0.5 * noise * noise_gain(settings.coarse_sigma)
+        )  # half size: the mean of four pixels
+        return cls(noise * noise_gain(settings.fine_sigma), coarse, 0.4 * noise)
 
 
 @dataclass(frozen=True)
@@ -63,20 +65,20 @@ class Measures:
     coarse_down: NDArray[np.float32]
 
 
-def measure(frame: Image, settings: Settings, floor: NoiseFloor) -> Measures:
+def measure(frame: Image, settings: FocusSettings, floor: NoiseFloor) -> Measures:
     """Return the focus measures of a frame at every second pixel."""
     half = halved(frame.astype(np.float32, copy=False))
-    seconds = abs_second_derivatives(frame, settings.fine)
-    along, down = (blur(halved(second), settings.fine_window) for second in seconds)
-    coarse_along, coarse_down = abs_second_derivatives(half, settings.coarse)
-    coarse = blur(coarse_along + coarse_down, settings.coarse_window)
-    detail = cv2.absdiff(half, blur(half, settings.edge_mean))
+    seconds = abs_second_derivatives(frame, settings.fine_sigma)
+    along, down = (blur(halved(second), settings.fine_window_sigma) for second in seconds)
+    coarse_along, coarse_down = abs_second_derivatives(half, settings.coarse_sigma)
+    coarse = blur(coarse_along + coarse_down, settings.coarse_window_sigma)
+    detail = cv2.absdiff(half, blur(half, settings.edge_sigma))
     edge_floor = np.float32(floor.edge)
     return Measures(
         product=(along + down + np.float32(floor.fine)) * (coarse + np.float32(floor.coarse)),
         along=along,
         down=down,
-        edge=(detail + edge_floor) * (blur(detail, 1.0) + edge_floor),
+        edge=np.multiply(detail + edge_floor, blur(detail, 1.0) + edge_floor, dtype=np.float32),
         coarse_along=coarse_along,
         coarse_down=coarse_down,
     )
@@ -102,9 +104,3 @@ def noise_gain(sigma: float) -> float:
     smooth = cv2.getGaussianKernel(31, sigma).ravel()
     second = np.convolve(smooth, [-1.0, 2.0, -1.0])
     return float(2 * np.sqrt(2 / np.pi) * np.sqrt(np.sum(second**2) * np.sum(smooth**2)))
-
-
-def doubled(half: NDArray, shape: tuple[int, ...], how: int = cv2.INTER_LINEAR) -> NDArray:
-    """Return an image of `shape` from one of half its sides, by default interpolated linearly."""
-    full = cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=how)
-    return np.asarray(full)[: shape[0], : shape[1]]

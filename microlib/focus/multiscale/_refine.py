@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus._correction import smooth_planes
+from microlib.focus.common import Spread, doubled, smooth_planes
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
-from microlib.focus.multiscale._measure import doubled
-from microlib.focus.multiscale._reject import Peaks, fill_nearest, relative
+from microlib.focus.multiscale._maps import fill_nearest, relative
+from microlib.focus.multiscale._peaks import Peaks
 from microlib.focus.multiscale._relief import (
     direction_offsets,
     error_variance,
@@ -20,12 +20,12 @@ from microlib.focus.multiscale._relief import (
     locking_attenuation,
     peak_locking_bias,
 )
-from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._settings import FocusSettings
 
 
 @dataclass(frozen=True)
 class Refined:
-    """The depth of every second pixel, steps; maps of shape (rows, cols).
+    """The depth of every second pixel, averaged frames; maps of shape (rows, cols).
 
     Attributes
     ----------
@@ -46,22 +46,22 @@ def refine(
     peaks: Peaks,
     fits: Fits,
     axis: Axis,
-    settings: Settings,
+    settings: FocusSettings,
     typical_strength: float,
     *,
-    workers: int = 1,
+    spread: Spread = map,
 ) -> Refined:
     """Smooth the depth by planes, restore relief, remove peak locking, and state the error."""
     smooth = smooth_planes(
-        peaks.depth, peaks.weight, jump=settings.jump, sigma=settings.radius, workers=workers
+        peaks.depth, peaks.weight, jump=settings.jump, sigma=settings.smoothing_sigma, spread=spread
     )
-    along, down, weight = direction_offsets(smooth, fits, axis, settings)
-    relief, half_difference = find_relief(along, down, weight, settings)
+    along, down, weight = direction_offsets(smooth, fits, axis, settings, spread)
+    relief, half_difference = find_relief(along, down, weight, settings, spread)
     attenuation = locking_attenuation(smooth)
     locking = peak_locking_bias(smooth, axis) * attenuation
     depth = smooth - locking
     variance = error_variance(depth + relief, half_difference, peaks.disagreement, settings)
-    drift = np.interp(np.nan_to_num(depth), axis.steps, axis.drift_bias).astype(np.float32)
+    drift = np.interp(np.nan_to_num(depth), axis.coordinates, axis.drift_bias).astype(np.float32)
     # Peak locking depends on texture: up to half of it remains.
     variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
     constant, periodic = axis.shape_error
@@ -71,7 +71,7 @@ def refine(
 
 
 def thin_object_error(
-    depth: NDArray, fits: Fits, settings: Settings, typical_strength: float
+    depth: NDArray, fits: Fits, settings: FocusSettings, typical_strength: float
 ) -> NDArray:
     """Return half the distance of a depth from peaks that the smoothing removed nearby.
 

@@ -2,49 +2,53 @@
 
 Depths by the second derivatives along rows and down columns have nearly independent errors, so that
 their covariance is that of the object, and their difference is noise. All on the grid of every
-second pixel, depths in steps.
+second pixel, depths in averaged frames.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus._filters import blur, ratio
+from microlib.focus.common import Spread, blur, ratio
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._fits import Fits
-from microlib.focus.multiscale._reject import fill_nearest, typical
-from microlib.focus.multiscale._settings import Settings
+from microlib.focus.multiscale._maps import fill_nearest, typical
+from microlib.focus.multiscale._settings import FocusSettings
 
-#: For each octave of relief: radius of the next coarser mean, px; correlation of the directions,
+#: For each octave of relief: sigma of the next coarser mean, px; correlation of the directions,
 #: and its standard deviation in `_WINDOW`, that noise alone has.
 _OCTAVES = ((0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
-#: Radius over which the directions are compared, and half of that of their difference, px.
+#: Sigma of the window in which the directions are compared, and half of that of their difference,
+#: px.
 _WINDOW = 10.0
 
 
 def direction_offsets(
-    depth: NDArray, fits: Fits, axis: Axis, settings: Settings
+    depth: NDArray, fits: Fits, axis: Axis, settings: FocusSettings, spread: Spread = map
 ) -> tuple[NDArray, NDArray, NDArray]:
     """Return the depths by each direction less a smoothed depth, and their common weight."""
     limit, level = settings.jump, np.nan_to_num(depth)
     near = np.isfinite(depth) & (np.abs(fits.depth - depth) < limit)
-    offsets, strengths = [], []
-    for window in (fits.along, fits.down):
-        own, strength = fit_peaks(window, fits.best, axis.steps, near=level, within=limit)
+
+    def fitted(window: NDArray) -> tuple[NDArray, NDArray]:
+        own, strength = fit_peaks(window, fits.best, axis.coordinates, near=level, within=limit)
         good = near & (strength > 0) & np.isfinite(own)
-        offsets.append(np.where(good, np.clip(own - level, -limit, limit), np.float32(0)))
-        strengths.append(np.where(good, strength, np.float32(0)))
-    weight = np.sqrt(np.sqrt(strengths[0] * strengths[1]))
-    weight = np.where(weight > 0, np.clip(weight / typical(weight), 0.01, 100), 0)
-    weight = weight.astype(np.float32)
-    return offsets[0], offsets[1], weight
+        offset = np.where(good, np.clip(own - level, -limit, limit), np.float32(0))
+        return offset, np.where(good, strength, np.float32(0))
+
+    (along, along_strength), (down, down_strength) = spread(fitted, (fits.along, fits.down))
+    weight = np.sqrt(np.sqrt(along_strength * down_strength))
+    weight = np.where(weight > 0, np.clip(weight / typical(weight), 0.01, 100), np.float32(0))
+    return along, down, np.asarray(weight, np.float32)
 
 
 def find_relief(
-    along: NDArray, down: NDArray, weight: NDArray, settings: Settings
+    along: NDArray, down: NDArray, weight: NDArray, settings: FocusSettings, spread: Spread = map
 ) -> tuple[NDArray, NDArray]:
     """Return the relief on which both directions agree, and half of their difference.
 
@@ -54,6 +58,10 @@ def find_relief(
         Depths by second derivatives of either direction, less the smoothed depth.
     weight : ndarray, shape (rows, cols)
         Weight of each pixel.
+    settings : FocusSettings
+        Signal-to-noise ratios from which relief is restored.
+    spread : callable
+        `map`, or that of a pool of threads.
 
     Returns
     -------
@@ -65,11 +73,13 @@ def find_relief(
     In each octave both are h + n₁ and h + n₂ with independent noise. Then cov(h + n₁, h + n₂) is
     the variance of the relief h, and cov / var of their mean is the gain of the Wiener filter.
     """
-    finer, relief = (along, down), np.zeros((2, *along.shape), np.float32)
-    for sigma, noise_correlation, noise_scatter in _OCTAVES:
-        total = blur(weight, sigma)
-        coarser = tuple(ratio(blur(part * weight, sigma), total) for part in (along, down))
-        a, b = finer[0] - coarser[0], finer[1] - coarser[1]
+
+    def means(octave: tuple[float, ...]) -> NDArray:
+        total = blur(weight, octave[0])
+        return np.stack([ratio(blur(part * weight, octave[0]), total) for part in (along, down)])
+
+    def restored(scales: tuple[NDArray, NDArray], octave: tuple[float, ...]) -> NDArray:
+        (a, b), (_, noise_correlation, noise_scatter) = np.subtract(*scales), octave
         var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
         cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
         # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
@@ -79,12 +89,15 @@ def find_relief(
         significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
         var_mean = (var_a + var_b + 2 * cov) / 4
         gain = np.clip(ratio(cov, var_mean), 0, 1) * np.clip(significant, 0, 1)
-        relief += gain * np.stack([a, b])
-        finer = coarser
-    return relief.mean(axis=0) * _mtf_gain(relief, settings), (finer[0] - finer[1]) / 2
+        return np.asarray(gain * np.stack([a, b]))
+
+    scales = [np.stack([along, down]), *spread(means, _OCTAVES)]
+    relief = np.sum(list(spread(restored, pairwise(scales), _OCTAVES)), axis=0)
+    half_difference = np.subtract(*scales[-1]) / 2
+    return relief.mean(axis=0) * _mtf_gain(relief, settings), half_difference
 
 
-def _mtf_gain(relief: NDArray, settings: Settings) -> NDArray[np.float32]:
+def _mtf_gain(relief: NDArray, settings: FocusSettings) -> NDArray[np.float32]:
     """Return the factor, at most 3, that compensates for the attenuation by a measure's windows.
 
     They attenuate relief as a Gaussian does, by exp(−c k²) for the mean square wavenumber k², which
@@ -97,7 +110,7 @@ def _mtf_gain(relief: NDArray, settings: Settings) -> NDArray[np.float32]:
 
 
 def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
-    """Return the bias of a depth towards the nearest averaged frame, steps.
+    """Return the bias of a depth towards the nearest averaged frame, averaged frames.
 
     A real profile is more pointed than a Gaussian, so that its fit is biased towards the nearest
     frame, and the more so the narrower the peaks.
@@ -105,11 +118,11 @@ def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
     Parameters
     ----------
     depth : ndarray, shape (rows, cols)
-        The depth, steps; NaN where unknown.
+        Frame coordinates; NaN where unknown.
     axis : Axis
         The averaged frames.
     """
-    number = np.interp(np.nan_to_num(depth), axis.steps, np.arange(len(axis.steps)))
+    number = np.interp(np.nan_to_num(depth), axis.coordinates, np.arange(len(axis.coordinates)))
     number = number.astype(np.float32)
     return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number)
 
@@ -117,25 +130,22 @@ def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
 def locking_attenuation(depth: NDArray) -> NDArray[np.float32]:
     """Return the factor by which averaging on a slope attenuates peak locking, 0 to 1.
 
-    On a slope of s steps per px the bias is a wave of s periods per px. A Gaussian average, here of
-    σ = 5 px for the measures and the smoothing, leaves exp(−(2π s σ)²/2) of it.
+    On a slope of s frames per px the bias is a wave of s periods per px. A Gaussian average, of
+    σ = 5 px for the measures and the smoothing together, leaves exp(−(2π s σ)²/2) of it.
     """
     return np.exp(np.float32(-((2 * np.pi * 5) ** 2) / 2) * _squared_slope(depth))
 
 
 def _squared_slope(depth: NDArray) -> NDArray:
-    """Return the square of the slope, steps per px of the full grid."""
+    """Return the square of the slope, frames per px of the full grid."""
     dy, dx = np.gradient(blur(fill_nearest(depth), 1.0))
     return np.asarray((dx * dx + dy * dy) / 4)
 
 
 def error_variance(
-    depth: NDArray, half_difference: NDArray, disagreement: NDArray, settings: Settings
+    depth: NDArray, half_difference: NDArray, disagreement: NDArray, settings: FocusSettings
 ) -> NDArray:
     """Return the mean square error of a depth by noise, slopes, steps and sharp bends.
-
-    The numbers were found on drawn texture and photographs; the table of stated errors in
-    benchmarks/focus_depth.py tests them.
 
     Parameters
     ----------
@@ -144,35 +154,40 @@ def error_variance(
     half_difference : ndarray, shape (rows, cols)
         Half the difference of two independent depths, smoothed as widely.
     disagreement : ndarray, shape (rows, cols)
-        Distance of the depths by the product and by the edge measure, steps.
-    settings : Settings
-        Settings of the smoothing.
+        Distance of the depths by the product and by the edge measure.
+    settings : FocusSettings
+        FocusSettings of the smoothing.
 
     Returns
     -------
     ndarray, shape (rows, cols)
-        Variance, steps².
+        Variance, frames².
     """
     high = 2 * settings.jump
     variance = np.maximum(blur(half_difference**2, 2 * _WINDOW), 0)
-    # Texture moves a depth along a slope, by 0.12 px of the full grid.
-    variance += 0.12**2 * _squared_slope(depth)
+    # Texture moves a depth along a slope.
+    variance += settings.slope_error**2 * _squared_slope(depth)
     full = fill_nearest(depth)
     height = step_height(full)
     beside = cv2.dilate(height, np.ones((5, 5), np.uint8))
     # The smoothing may mix both sides of a low step. Beside a high one the error is the
-    # disagreement, or its square if that is less: on drawn texture 0.03 steps at a disagreement of
+    # disagreement, or its square if that is less: on drawn texture 0.03 frames at a disagreement of
     # 0.2, on photographs 1.0 at 1.2.
     local = blur(np.minimum(disagreement, 6), 2.0)
-    variance += np.where(beside < high, 0.17 * beside, np.minimum(local, local * local)) ** 2
+    variance += (
+        np.where(beside < high, settings.low_step_error * beside, np.minimum(local, local * local))
+        ** 2
+    )
     # At a high step a pixel may lie anywhere between both sides: the standard deviation of a
     # uniform distribution. Measured are 0.2 to 0.3 of the height on drawn texture, 0.5 where the
     # near side hides the far one, and 0.5 to 0.8 on photographs.
     variance += np.where(height >= high, height, 0) ** 2 / 12
     # At a sharp bend, such as the tip of a cone.
-    bent = (full - blur(full, settings.radius)) ** 2
+    bent = (full - blur(full, settings.smoothing_sigma)) ** 2
     bent[cv2.dilate(height, np.ones((15, 15), np.uint8)) >= high] = 0
-    return np.asarray(variance + 0.2**2 * np.maximum(blur(bent, 2.0), 0), np.float32)
+    return np.asarray(
+        variance + settings.bend_error**2 * np.maximum(blur(bent, 2.0), 0), np.float32
+    )
 
 
 def step_height(depth: NDArray) -> NDArray:

@@ -1,4 +1,4 @@
-"""Smoothing and halving of images, shared by all focus measures."""
+"""Smoothing, halving and doubling of images, and their ratio."""
 
 from __future__ import annotations
 
@@ -40,3 +40,9 @@ def halved(image: NDArray, times: int = 1) -> NDArray:
         size = image.shape[1] // 2, image.shape[0] // 2
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     return image
+
+
+def doubled(half: NDArray, shape: tuple[int, ...], how: int = cv2.INTER_LINEAR) -> NDArray:
+    """Return an image of `shape` from one of half its sides, by default interpolated linearly."""
+    full = cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=how)
+    return np.asarray(full)[: shape[0], : shape[1]]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus._filters import TINY, halved
+from microlib.focus.common._filters import TINY, halved
 
 #: Limit that `common_peak` of noise alone stays below in 98 % of the blocks: 1.8 of white, smoothed
 #: and demosaiced noise, 2.5 after JPEG compression. And the peak of a measure over its mean.

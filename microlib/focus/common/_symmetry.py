@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.focus._filters import TINY
+from microlib.focus.common._filters import TINY
 
 #: Heights at which a focus curve is bisected, as shares of its peak above its minimum, and number
 #: of bins into which the distance between two frames is divided.

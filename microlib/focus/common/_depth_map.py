@@ -1,0 +1,33 @@
+"""The depth of every pixel, as both methods return it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of every pixel of a stack, before it is brought into the form of a result.
+
+    Attributes
+    ----------
+    depth : ndarray of float32, shape (rows, cols)
+        Depth, µm; NaN where unknown.
+    uncertainty : ndarray of float32, shape (rows, cols)
+        Standard deviation of the depth, µm.
+    frame : ndarray of int, shape (rows, cols)
+        Number of the frame that shows the pixel sharpest, also where there is no depth.
+    at_end : ndarray of bool, shape (rows, cols)
+        Whether the sharpest frame is the first or the last.
+    spacing : float
+        Distance of the frames, µm.
+    """
+
+    depth: NDArray[np.float32]
+    uncertainty: NDArray[np.float32]
+    frame: NDArray[np.integer]
+    at_end: NDArray[np.bool_]
+    spacing: float
