@@ -15,7 +15,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import ROOT
-from microlib._common import Tidy, find_scales
+from microlib._common import Tidy
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
@@ -144,15 +144,16 @@ def resolve_scales(
     ValueError: spacing must be given for mine.tif, which does not contain it: -p spacing VALUE
     """
     demo = (_entry(Path(path)) or {}).get("settings", {})
-    found = find_scales(given, {"the demo": demo, "the file": from_file or {}})
+    found: dict[str, tuple[Any, str]] = {}
+    for source, known in (("the file", from_file or {}), ("the demo", demo), ("given", given)):
+        found |= {n: (known[n], source) for n in given if known.get(n) is not None}
     if missing := [name for name in given if name not in found]:
         need = " ".join(f"-p {name} VALUE" for name in missing)
         raise ValueError(
             f"{', '.join(missing)} must be given for {path}, which does not contain "
             f"{'it' if len(missing) == 1 else 'them'}: {need}"
         )
-    values = {name: value for name, (value, _) in found.items()}
-    sources = {name: source for name, (_, source) in found.items()}
+    values, sources = ({name: found[name][k] for name in given} for k in (0, 1))
     table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
     return values, table
 

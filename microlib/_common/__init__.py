@@ -1,21 +1,12 @@
 """Argument checks, array types, least squares, image noise, files and results for all packages."""
 
 from microlib._common._checks import (
-    MEASURED,
-    MICROMETERS,
     ArgumentError,
     as_array,
-    as_image,
     as_map,
-    as_region,
-    find_scales,
     generator,
-    image_shape,
     items,
-    luminance,
-    measured,
     one_of,
-    poisson,
     positive,
     reject_masks,
     same_length,
@@ -23,6 +14,7 @@ from microlib._common._checks import (
     whole,
 )
 from microlib._common._files import SOFTWARE, home_path, replace_file
+from microlib._common._images import as_image, as_region, image_shape, luminance
 from microlib._common._least_squares import (
     MAD_TO_STD,
     TUKEY_LIMIT,
@@ -34,5 +26,6 @@ from microlib._common._least_squares import (
     tukey_weights,
 )
 from microlib._common._noise import image_noise, saturation_level
+from microlib._common._quantities import MEASURED, MICROMETERS, measured, poisson
 from microlib._common._results import Result, Tidy, flat_row
 from microlib._common._types import Array, Frames, Image, Region

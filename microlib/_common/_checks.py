@@ -6,33 +6,14 @@ requirement and the value.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from operator import ge, gt, le, lt
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from microlib._common._types import Array, Region
-
-#: Units of length in OME and ImageJ metadata, in µm: not "pixel", and not "inch", the unit of a
-#: printer's resolution.
-MICROMETERS = {
-    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-3),
-    **dict.fromkeys(("µm", "μm", "um", "\\u00b5m", "micron", "microns", "micrometer"), 1.0),
-    **dict.fromkeys(("micrometre", "micrometers", "micrometres"), 1.0),
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1e3),
-    **dict.fromkeys(("cm", "centimeter", "centimetre"), 1e4),
-    **dict.fromkeys(("m", "meter", "metre"), 1e6),
-}
-#: Ranges of quantities under a light microscope, wide enough that only a wrong unit is outside.
-MEASURED = {
-    "µN": (1e-3, 1e6),
-    "µm": (5e-3, 1e6),
-    "µm/px": (0.02, 100.0),
-    "MPa": (1e-5, 2e5),
-}
+from microlib._common._types import Array
 
 
 class ArgumentError(ValueError):
@@ -133,27 +114,6 @@ def reject_masks(name: str, value: object) -> None:
         raise ArgumentError(name, "must be without a mask: cut the masked values out")
 
 
-def as_image(name: str, value: ArrayLike, *, smallest: int = 1) -> NDArray:
-    """Return a grey image as a finite 2-D float32 array, each side at least `smallest` px."""
-    image = as_array(name, value, dtype=np.float32)
-    if image.ndim != 2:
-        raise ArgumentError(name, f"must be a grey image of two dimensions, got {image.ndim}")
-    if min(image.shape) < smallest:
-        raise ArgumentError(name, f"must be at least {smallest} px on each side, got {image.shape}")
-    return image
-
-
-def luminance(name: str, value: ArrayLike) -> NDArray:
-    """Return a grey image as it is, or the luminance of a color image as float32."""
-    import cv2  # here, as formulas do without it
-
-    image = value if type(value) is np.ndarray else as_array(name, value)
-    if image.ndim == 3 and image.shape[2] in (3, 4):
-        color = np.ascontiguousarray(as_array(name, image, dtype=np.float32)[..., :3])
-        image = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    return image
-
-
 def scalar(name: str, value: object, **bounds: float | None) -> float:
     """Return one finite number within `bounds`."""
     if isinstance(value, (bool, np.bool_, Sequence)) or getattr(value, "ndim", None):
@@ -162,24 +122,6 @@ def scalar(name: str, value: object, **bounds: float | None) -> float:
         value = float(as_array(name, value))  # type: ignore[arg-type]
     check_bounds(name, value, value, **bounds)
     return value
-
-
-def measured(name: str, value: object, unit: str) -> float:
-    """Return a force, a length or a modulus in `unit`; raise outside the range of experiments.
-
-    A force of 150e-6, which is in N, is rejected as a force in µN.
-    """
-    number = scalar(name, value, above=0)
-    low, high = MEASURED[unit]
-    if not low <= number <= high:
-        need = f"must be in {unit}, between {low:g} and {high:g} in any experiment"
-        raise ArgumentError(name, f"{need}, got {number:g}")
-    return number
-
-
-def poisson(ratio: object) -> float:
-    """Return the Poisson ratio of an isotropic material."""
-    return scalar("poisson_ratio", ratio, above=-1, most=0.5)
 
 
 def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
@@ -216,25 +158,6 @@ def items(name: str, value: object, count: int) -> tuple[object, ...]:
     return tuple(value)  # type: ignore[arg-type]
 
 
-def as_region(
-    name: str, value: object, shape: tuple[int, ...] | None = None, *, least: int = 1
-) -> Region:
-    """Return (x, y, width, height) of a part, each side at least `least` px, of an image."""
-    four = items(f"{name} (x, y, width, height)", value, 4)
-    sides = zip(("x", "y", "width", "height"), four, (0, 0, least, least), strict=True)
-    x, y, width, height = (whole(f"{name} {side}", n, least=low) for side, n, low in sides)
-    if shape is not None and (y + height > shape[0] or x + width > shape[1]):
-        size = f"{shape[1]}×{shape[0]} px"
-        raise ArgumentError(name, f"must lie in the image of {size}, got {four}")
-    return x, y, width, height
-
-
-def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
-    """Return (rows, columns), each at least `least`."""
-    rows, columns = (whole(name, n, least=least) for n in items(name, value, 2))
-    return rows, columns
-
-
 def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value` if it is one of the `known` names."""
     if not isinstance(value, str) or value not in known:
@@ -247,18 +170,3 @@ def same_length(names: tuple[str, ...], first: NDArray, second: NDArray) -> None
     if len(first) != len(second):
         problem = f"and {names[1]} must have the same length, got {len(first)} and {len(second)}"
         raise ArgumentError(names[0], problem)
-
-
-def find_scales(
-    given: Mapping[str, Any], sources: Mapping[str, Mapping[str, Any]]
-) -> dict[str, tuple[Any, str]]:
-    """Return each scale and where it is from: given, or the first of `sources` that has it.
-
-    A scale that is None everywhere is left out.
-    """
-    found: dict[str, tuple[Any, str]] = {}
-    for name in given:
-        for source, values in {"given": given, **sources}.items():
-            if name not in found and values.get(name) is not None:
-                found[name] = values[name], source
-    return found

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from microlib._common import home_path, reject_masks
 from microlib.io._metadata import label_scale
 from microlib.io._pictures import read_picture
-from microlib.io._stack import LazyFrames, Stack, check_axis_of_frames, open_stack
+from microlib.io._stack import LazyFrames, Stack, check_axis_of_frames, open_stack, reading
 
 #: Letters of the axes of frames, by the names of labeled arrays' dimensions.
 _LETTERS = {"c": "C", "channel": "C", "t": "T", "time": "T", "z": "Z"}
@@ -44,14 +44,24 @@ def open_labeled(frames: Any) -> Stack:
     return replace(stack, axis=axis, **label_scale(frames))
 
 
+def open_npy(path: Path) -> Stack:
+    """Return the frames of a NumPy file."""
+    with reading(f"frames cannot be read from {path}"):
+        frames = np.load(path, mmap_mode="r")
+    return open_array(frames, (path,))
+
+
 def open_zarr(path: Path) -> Stack:
     """Return the frames of a zarr array."""
     import zarr  # optional, and slow to import
 
-    opened = zarr.open(str(path), mode="r")
-    if not isinstance(opened, zarr.Array):
-        arrays = ", ".join(sorted(opened.array_keys()))
-        raise ValueError(f"it must be an array, got a group of arrays {arrays}: give one of them")
+    with reading(f"frames cannot be read from {path}"):
+        opened = zarr.open(str(path), mode="r")
+        if not isinstance(opened, zarr.Array):
+            names = ", ".join(sorted(opened.array_keys()))
+            raise ValueError(
+                f"it must be an array, got a group of arrays {names}: give one of them"
+            )
     return open_array(opened, (path,))
 
 

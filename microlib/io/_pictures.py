@@ -83,14 +83,14 @@ def _read_exif(file: Path) -> tuple[int, str]:
 
 def read_picture(file: Path, turn: bool = True) -> NDArray:
     """Return one picture, grey or RGB; its EXIF orientation is applied if `turn`."""
+    if not file.is_file():
+        raise ValueError(f"frames cannot be read from {file}: no such file")
+    if file.suffix.lower() in TIFF:
+        page = open_tiff(file, {}, alone=True)
+        if page.count != 1:
+            raise ValueError(f"{file}: it must hold one page to be one frame, got {page.count}")
+        return page.first
     with reading(f"frames cannot be read from {file}"):
-        if not file.is_file():
-            raise ValueError("no such file")
-        if file.suffix.lower() in TIFF:
-            page = open_tiff(file, {}, alone=True)
-            if page.count != 1:
-                raise ValueError(f"it must hold one page to be one frame, got {page.count}")
-            return page.first
         # Not imread, which fails on names outside the system's encoding.
         data = file.read_bytes()
         # OpenCV fills up a JPEG that ends in zeros: the end marker must follow the last scan.
@@ -111,7 +111,7 @@ def open_film(path: Path) -> Stack:
     """Return the frames of a video, whose number in the header is checked when they are read."""
     film = cv2.VideoCapture(str(path))
     if not film.isOpened():
-        raise ValueError("not a video that OpenCV can read")
+        raise ValueError(f"frames cannot be read from {path}: not a video that OpenCV can read")
     stated = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
     film.release()
     indexed = stated > 0 and path.suffix.lower() in _INDEXED

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import ArgumentError, Frames, Region, as_array, as_region, home_path, whole
-from microlib.io._arrays import open_array, open_items, open_labeled, open_zarr
+from microlib.io._arrays import open_array, open_items, open_labeled, open_npy, open_zarr
 from microlib.io._names import in_order
 from microlib.io._pictures import (
     FILMS,
@@ -23,7 +23,7 @@ from microlib.io._pictures import (
     open_film,
     open_pictures,
 )
-from microlib.io._stack import Choice, LazyFrames, Stack, reading
+from microlib.io._stack import Choice, LazyFrames, Stack
 from microlib.io._tiff import TIFF, open_tiff
 
 #: The reader of a file by its suffix. A reader removes from the choice what it applied.
@@ -32,7 +32,7 @@ READERS: dict[str, Callable[[Path, Choice], Stack]] = {
     **dict.fromkeys(FILMS, lambda path, choice: open_film(path)),
     **dict.fromkeys((*TIFF, ".btf", ".lsm", ".stk"), open_tiff),
     "zarr": lambda path, choice: open_zarr(path),  # a folder of any name
-    ".npy": lambda path, choice: open_array(np.load(path, mmap_mode="r"), (path,)),
+    ".npy": lambda path, choice: open_npy(path),
 }
 
 
@@ -173,8 +173,7 @@ def _open_path(path: Path, choice: Choice) -> Stack:
     if suffix not in READERS:
         kinds = ", ".join(sorted(READERS))
         raise ValueError(f"{path} has an unknown suffix: microlib reads {kinds}")
-    with reading(f"frames cannot be read from {path}"):
-        return READERS[suffix](path, choice)
+    return READERS[suffix](path, choice)
 
 
 def _kind(frame: NDArray) -> str:

@@ -156,16 +156,10 @@ def check_axis_of_frames(shape: Sequence[int]) -> None:
         )
 
 
-class UnreadableError(ValueError):
-    """A file or frame that cannot be decoded, which the message names."""
-
-
 @contextmanager
 def reading(what: object) -> Iterator[None]:
-    """Raise an `UnreadableError` for any exception of a decoder, which damaged bytes can cause."""
+    """Raise a ValueError for any exception of a decoder, which damaged bytes can cause."""
     try:
         yield
-    except UnreadableError:  # of a frame in this file
-        raise
     except Exception as error:
-        raise UnreadableError(f"{what}: {error}") from error
+        raise ValueError(f"{what}: {error}") from error

@@ -55,7 +55,10 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
         or fewer pages than its metadata describe.
     """
     wanted = dict(choice)
-    with tifffile.TiffFile(path, is_ome=False if alone else None) as tiff:
+    with (
+        reading(f"frames cannot be read from {path}"),
+        tifffile.TiffFile(path, is_ome=False if alone else None) as tiff,
+    ):
         _check_chain(tiff)
         pages, axis = _select_pages(tiff, choice)
         size, positions = tiff_scale(tiff, path.name, len(pages), wanted)

@@ -48,14 +48,9 @@ def test_labeled_frames_have_pixel_size_positions_and_origin_in_any_order(
     np.testing.assert_array_equal(np.stack(list(reader)), stack)
 
 
-@pytest.mark.parametrize("order", [None, "zyx", "yxz"])
-def test_depth_has_the_coordinates_and_chunks_of_its_frames(stack, labeled, order):
+def test_depth_has_the_coordinates_of_its_frames(stack, labeled):
     frames = labeled()
-    if order:
-        pytest.importorskip("dask")
-        frames = frames.chunk({"y": 64, "x": 80}).transpose(*order)
     back = depth_from_focus(frames).to_xarray()
-    assert bool(back["depth"].chunks) == bool(order)
     np.testing.assert_allclose(back["x"], frames["x"])
     np.testing.assert_allclose(back["y"], frames["y"])
     # Single precision: a thousandth of a µm is far above its rounding.
