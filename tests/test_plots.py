@@ -1,5 +1,6 @@
 """The pictures of results, read back from their axes."""
 
+import copy
 from dataclasses import replace
 
 import matplotlib as mpl
@@ -74,6 +75,20 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
     assert [len(each.images) for each in own.axes] == [1, 0]  # the height with its color bar
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_result_and_style_are_unchanged_by_a_plot(dtype, channels):
+    sharp = np.random.default_rng(0).integers(20, 250, (31, 52, *channels)).astype(dtype)
+    found = replace(mapped(2.0), all_in_focus=sharp)
+    before, style = copy.deepcopy(found), dict(mpl.rcParams)
+    found.plot()
+    for name, value in vars(before).items():
+        np.testing.assert_array_equal(getattr(found, name), value)
+    assert dict(mpl.rcParams) == style
+    found.plot().axes[0].images[0].get_array()[:] = 0  # the picture has grey levels of its own
+    np.testing.assert_array_equal(found.all_in_focus, before.all_in_focus)
+
+
 def test_maps_without_a_height_or_an_error_are_drawn():
     found, nothing = mapped(2.0), np.full((31, 52), np.nan)
     assert "100 % unknown" in replace(found, depth=nothing).plot().axes[1].get_title()
@@ -90,7 +105,7 @@ def views():
         points = 30.0 + 11 * grid @ [[1.0, 0.1], [-0.2, 0.7]]
         one, size = np.ones(len(grid)), (150, 90)
         found.append(Detection(points, grid, one, np.arange(len(grid)), grid, np.nan, 1.0, size))
-    result = calibrate(found, pitch=280.0, pixel_size=9.9, focal_length=126000.0)
+    result = calibrate(found, pitch=280.0, pixel_pitch=9.9, focal_length=126000.0)
     residuals = rng.normal(0, 0.1, (74, 2)) * np.repeat([1, 3, 9], [12, 20, 42])[:, None]
     images = [rng.integers(9, 90 + 40 * k, (90, 150)) for k in range(3)]
     return found, replace(result, residuals=residuals), images

@@ -26,8 +26,8 @@ def marks(
     columns = ceil(sqrt(len(found)))
     rows = ceil(len(found) / columns)
     panel = max(2.5, 8 / columns)
-    axes = [ax] if ax is not None else new_axes(rows, columns, panel, 0.6 + panel * height / width)
-    axes = np.ravel(axes)
+    new = new_axes(rows, columns, panel, 0.6 + panel * height / width) if ax is None else ax
+    axes = np.ravel(new)
     for unused in axes[len(found) :]:
         unused.set_axis_off()
     ends = np.cumsum([len(each.points) for each in found])[:-1]

@@ -32,22 +32,17 @@ def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
 
 
 def _map(ax: Any, values: NDArray, colors: str, label: str, logarithmic: bool = False) -> None:
+    """Draw a map with its color bar; unknown pixels are grey."""
     from matplotlib import colormaps
-    from matplotlib.colors import LogNorm
-    from matplotlib.ticker import LogLocator
+    from matplotlib.colors import LogNorm, Normalize
 
     known = values[np.isfinite(values)]
     # Outliers would use up the colors.
     low, high = np.quantile(known, [0.005, 0.995]) if len(known) else (0, 1)
+    norm = LogNorm(low, high) if logarithmic and low > 0 else Normalize(low, high)
     cmap = colormaps[colors].with_extremes(bad="0.8")
-    scale: Any = {"vmin": low, "vmax": high}
-    ticks: Any = {}
-    if logarithmic and low > 0:
-        scale = {"norm": LogNorm(low, high)}
-        ticks = {"ticks": LogLocator(subs=(1, 2, 5)), "format": "%g"}
-    picture = ax.imshow(values, cmap=cmap, interpolation="nearest", origin="upper", **scale)
-    bar = ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8, **ticks)
-    bar.minorticks_off()  # which have numbers of their own on a logarithmic scale
+    picture = ax.imshow(values, cmap=cmap, norm=norm, interpolation="nearest", origin="upper")
+    ax.figure.colorbar(picture, ax=ax, label=label, extend="both", shrink=0.8)
     unknown = 1 - len(known) / values.size
     ax.set_title(f"{label.split()[0]}{f', grey: {100 * unknown:.3g} % unknown' if unknown else ''}")
     ax.set_axis_off()

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes, show_image
 
-if TYPE_CHECKING:
-    import pandas as pd
 
-
-def path(table: pd.DataFrame, image: NDArray, ax: Any = None) -> Any:
+def path(table: Any, image: NDArray, ax: Any = None) -> Any:
     """Draw the path over a frame, and the position against time.
 
     With `ax` only the path is drawn. Return the figure.
@@ -30,19 +27,17 @@ def path(table: pd.DataFrame, image: NDArray, ax: Any = None) -> Any:
     corners = seen.filter(like="corners_").iloc[0].to_numpy(np.float64).reshape(4, 2)
     ax.plot(*corners[[0, 1, 2, 3, 0]].T, color=BESIDE)
     ax.plot(*points[-1], "o", color=FOUND)
-    # Show the surroundings of a short path enlarged.
+    # A short path is shown enlarged, with twice the template's sides around it.
     near, ends = 2 * np.ptp(corners, axis=0), np.array(image.shape[1::-1]) - 0.5
-    low, high = (
-        np.maximum(points.min(axis=0) - near, -0.5),
-        np.minimum(points.max(axis=0) + near, ends),
-    )
-    ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+    left, top = np.maximum(points.min(axis=0) - near, -0.5)
+    right, bottom = np.minimum(points.max(axis=0) + near, ends)
+    ax.set(xlim=(left, right), ylim=(bottom, top))
     share = table["lost"].mean()
     ax.set_title(f"path{f', lost in {100 * share:.3g} % of the frames' if share else ''}")
     return ax.figure
 
 
-def _against_time(ax: Any, table: pd.DataFrame, start: NDArray) -> None:
+def _against_time(ax: Any, table: Any, start: NDArray) -> None:
     timed, micrometers = "time_s" in table, "x_um" in table
     time = table["time_s"] if timed else np.arange(len(table))
     for axis, color, first in zip("xy", (FOUND, BESIDE), start, strict=True):
