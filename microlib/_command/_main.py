@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = lambda message, *_: notes.setdefault(f"note: {message}")
         try:
             files = _output_files(task.FILES, out, a.overwrite)
-            session = Session(a.task, out, files, notes, quiet=a.quiet, look=not a.no_look)
+            session = Session(a.task, out, files, notes, a.quiet, not a.no_look)
             end = task.run(a, session)
             session.finish()
         except KeyboardInterrupt:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
+
+from tqdm import tqdm
 
 from microlib._common import SOFTWARE, ArgumentError, replace_file
 
@@ -19,13 +22,14 @@ class End(NamedTuple):
     reason: str = ""
 
 
+@dataclass
 class Session:
     """The messages and the files of one run.
 
     A task calls `protect` as soon as it knows its inputs and before its work, then `write` once for
     each file; `say`, `note` and `bar` at any time. `finish` comes after the task.
 
-    Parameters
+    Attributes
     ----------
     task : str
         Name of the command.
@@ -37,36 +41,30 @@ class Session:
         Messages for the end of the run, each once, as keys.
     quiet, look : bool
         Whether to print only errors and notes; whether to write a picture of the result.
+    written : set of str
+        Names of the files that are written.
     """
 
-    def __init__(
-        self,
-        task: str,
-        out: Path,
-        files: dict[str, Path],
-        notes: dict[str, None],
-        *,
-        quiet: bool,
-        look: bool,
-    ) -> None:
-        self.task, self.out, self.files, self._notes = task, out, files, notes
-        self._quiet, self._look = quiet, look
-        self._written: set[str] = set()
+    task: str
+    out: Path
+    files: dict[str, Path]
+    notes: dict[str, None]
+    quiet: bool
+    look: bool
+    written: set[str] = field(default_factory=set)
 
     def say(self, text: object) -> None:
         """Print a result or a scale that is used."""
-        if not self._quiet:
+        if not self.quiet:
             print(text)
 
     def note(self, text: object) -> None:
         """Keep a message for the end of the run, where it is seen."""
-        self._notes[f"note: {text}"] = None
+        self.notes[f"note: {text}"] = None
 
     def bar(self, steps: Any = None, **options: Any) -> Any:
-        """Return tqdm's progress bar, which is shown only in a terminal."""
-        from tqdm import tqdm
-
-        return tqdm(steps, desc=self.task, leave=False, disable=self._quiet or None, **options)
+        """Return a progress bar, which is shown only in a terminal."""
+        return tqdm(steps, desc=self.task, leave=False, disable=self.quiet or None, **options)
 
     def protect(self, inputs: Sequence[Path]) -> None:
         """Raise if one of the files is an input."""
@@ -76,7 +74,7 @@ class Session:
 
     def write(self, name: str, write: Writer) -> None:
         """Write one of the files atomically; note a picture or a map that cannot be made."""
-        if name == "look.png" and not self._look:
+        if name == "look.png" and not self.look:
             return
         file = self.files[name]
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -88,20 +86,20 @@ class Session:
                 raise
             self.note(f"{file.name} is not written: {explain(error, self.out)}")
         else:
-            self._written.add(name)
+            self.written.add(name)
 
     def open_lines(self, name: str) -> TextIO:
         """Open one of the files, which keeps the lines so far if the process is killed."""
         file = self.files[name]
         file.parent.mkdir(parents=True, exist_ok=True)
-        self._written.add(name)
+        self.written.add(name)
         return file.open("w", 1, encoding="utf-8", newline="")
 
     def finish(self) -> None:
         """Remove files of an earlier run, and print which files there are."""
-        for name in self.files.keys() - self._written:
+        for name in self.files.keys() - self.written:
             self.files[name].unlink(missing_ok=True)
-        names = [file.name for name, file in self.files.items() if name in self._written]
+        names = [file.name for name, file in self.files.items() if name in self.written]
         folder = next(iter(self.files.values())).parent
         self.say(f"{folder}: {', '.join(names)}")
 
