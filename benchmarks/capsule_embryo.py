@@ -67,8 +67,10 @@ def draw_scene(rng: np.random.Generator, probe: str) -> SimpleNamespace:
         radius, inflation = rng.uniform(520, 680), rng.uniform(1.01, 1.08)
         modulus, force = rng.uniform(0.5, 2.0), rng.uniform(40, 220)
         try:
-            egg = {"modulus": modulus, "radius": radius, "inflation": inflation}
-            state = indent_capsule(force, **egg, thickness=3.0, probe_half_width=c)
+            egg = {"modulus": modulus, "capsule_radius": radius, "inflation": inflation}
+            state = indent_capsule(
+                force, **egg, thickness=3.0, probe_half_width=c, poisson_ratio=0.5
+            )
         except ValueError:
             continue
         # At a quarter of the resolution 45 µm are 6 px, twice the least that is measured.

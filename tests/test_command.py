@@ -36,7 +36,7 @@ MODULUS = "--pixel-size 3.875 --thickness 3 --probe-half-width 25 --poisson-rati
 BOX = "--box 30 40 40 40"
 STACK = "depth focal_stack.tif --spacing 25 --pixel-size 3.9"
 GRID = "calibrate circles.png --pitch 0.28mm --pixel-pitch 9.9um --focal-length 126150"
-OUTLINE = f"modulus outline.csv --force 10 --force-std 3 {MODULUS}"
+OUTLINE = f"modulus outline.csv --force 10 --force-uncertainty 3 {MODULUS}"
 
 POINTS = pd.read_csv(INPUTS / "outline.csv")
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -378,7 +378,7 @@ def test_lost_part_gives_exit_status_4(tmp_path, capsys):
 
 def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     """Of either rim."""
-    assert status(f"{OUTLINE} --thickness-std 0.2um", tmp_path / "out.csv", "") == 0
+    assert status(f"{OUTLINE} --thickness-uncertainty 0.2um", tmp_path / "out.csv", "") == 0
     printed = capsys.readouterr().out
     found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
     x, y = pd.read_csv(INPUTS / "outline.csv").sort_values("x").to_numpy().T
@@ -393,7 +393,11 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
             values[name] = getattr(dimple, name)
             stds[name] = np.sqrt(dimple.covariance[k, k])
         modulus = membrane.elastic_modulus(**values)
-        own = {"modulus_MPa": modulus, **values, **{f"{k}_std": std for k, std in stds.items()}}
+        own = {
+            "modulus_MPa": modulus,
+            **values,
+            **{f"{k}_uncertainty": std for k, std in stds.items()},
+        }
         own["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
         for name, value in own.items():
             assert found[prefix + name] == pytest.approx(value, rel=1e-4), prefix + name
@@ -425,8 +429,8 @@ STRETCHED = POINTS["x"].where(POINTS["x"] > MIDDLE, 1.5 * POINTS["x"] - 0.5 * MI
         (POINTS, "--y-down", 2, "leave out --y-down"),
         (POINTS.rename(columns={"x": "col", "y": "row"}), "", 0, "with y pointing up"),
         (POINTS.rename(columns={"x": "x_um", "y": "y_um"}), "", 2, "leave out --pixel-size"),
-        (POINTS, "--force-std 0", 0, ""),
-        (POINTS.assign(x=STRETCHED), "--force-std 0", 0, "moduli of the two rims differ"),
+        (POINTS, "--force-uncertainty 0", 0, ""),
+        (POINTS.assign(x=STRETCHED), "--force-uncertainty 0", 0, "moduli of the two rims differ"),
     ],
 )
 def test_outline_table_that_disagrees_is_noted(table, options, code, message, tmp_path, capsys):
@@ -462,7 +466,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
             (f"{GRID} --pixel-pitch {text}", f"--pixel-pitch: invalid number in µm value: '{text}'")
             for text in ("126,000", "1,25", "126.000,5", "1,500.0")  # a comma separates thousands
         ),
-        (f"{OUTLINE} --force-std -3", "['force'] must be zero or positive"),
+        (f"{OUTLINE} --force-uncertainty -3", "['force'] must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
         (f"{STACK} --time 1", "--time must be left out for frames without"),
@@ -500,7 +504,7 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
 @pytest.mark.parametrize(
     ("line", "given"),
     [
-        (OUTLINE.replace("--force-std 3", "--force-std 0"), "--force 1e-05"),
+        (OUTLINE.replace("--force-uncertainty 3", "--force-uncertainty 0"), "--force 1e-05"),
         (f"track frames.tif {BOX}", "--pixel-size 50800"),
         (f"track frames.tif {BOX}", "--pixel-size 0.006"),
     ],

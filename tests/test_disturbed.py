@@ -12,7 +12,7 @@ from tests.laws import unlike
 
 #: What draws or stores, and so concludes nothing; and what takes minutes.
 LEFT_OUT = ("synthetic.", "io.", "embryo.read_outline")
-NAMES = [name for name in fuzz.names() if name not in fuzz.SLOW and not name.startswith(LEFT_OUT)]
+NAMES = [name for name in fuzz.names() if not name.startswith(LEFT_OUT)]
 #: What is exact: names, counts of pixels, ν = 0.5 of what keeps its volume; a device's own state.
 WHOLE = {"self", "labels", "radius", "poisson_ratio"}
 #: Two results are the same within this, of the largest number beside it: far above 10¹⁵ times a

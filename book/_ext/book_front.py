@@ -69,9 +69,9 @@ def solve(
             modulus = thesis.modulus(radius, depth, probe_half_width=c)
         r = np.linspace(c, radius, 40)
         return modulus, r, depth - dimple_profile(r, radius, depth, probe_half_width=c)
-    walls = {"thickness": thesis.MEMBRANE["thickness"], "probe_half_width": c}
+    walls = thesis.MEMBRANE | {"probe_half_width": c}
     try:
-        egg = capsule_modulus(thesis.FORCE, radius, depth, radius=EGG, **walls)
+        egg = capsule_modulus(thesis.FORCE, radius, depth, capsule_radius=EGG, **walls)
     except ValueError:
         return None
     seen = (egg.state.r < -REACH[0]) & (egg.state.z > egg.state.z[0] - 1)

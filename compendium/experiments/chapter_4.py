@@ -17,7 +17,8 @@ from microlib.membrane import (
     finite_slope_modulus,
     mean_strain,
     modulus_samples,
-    modulus_std,
+    modulus_uncertainty,
+    steepest_depth,
 )
 
 #: Every input of (5.2), from Table 5.6 and for c from chapter 5.
@@ -44,23 +45,32 @@ def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
     modulus = float(elastic_modulus(**INPUTS))
     rows = []
     for error in errors:
-        stds = {"dimple_depth": error / 100 * INPUTS["dimple_depth"]}
-        drawn = modulus_samples(INPUTS, stds, size=20_000, rng=rng)
-        first = modulus_std(INPUTS, stds)
+        uncertainties = {"dimple_depth": error / 100 * INPUTS["dimple_depth"]}
+        drawn = modulus_samples(INPUTS, uncertainties, size=20_000, rng=rng)
+        first = modulus_uncertainty(INPUTS, uncertainties)
         rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
     columns = ["first order", "drawn", "shift of the mean"]
     return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of the depth (%)"), columns)
 
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:
-    """Return the modulus without small slopes over (5.2), by relative depth w_d/a."""
+    """Return the modulus without small slopes over (5.2), by relative depth w_d/a.
+
+    It is NaN where no uniform stress has such a dimple.
+    """
     a, c = INPUTS["rim_radius"], INPUTS["probe_half_width"]
     w_d = a * np.asarray(depths)
     strains = [mean_strain(a, w_d, probe_half_width=c, small_slopes=s) for s in (True, False)]
     # The error of (5.2) beyond small slopes is what is computed here.
     with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
         small = elastic_modulus(thesis.FORCE, a, w_d, **thesis.MEMBRANE)
-    whole = [finite_slope_modulus(thesis.FORCE, a, depth, **thesis.MEMBRANE) for depth in w_d]
+    steepest = steepest_depth(a, probe_half_width=c)
+    whole = [
+        finite_slope_modulus(thesis.FORCE, a, depth, **thesis.MEMBRANE)
+        if depth <= steepest
+        else np.nan
+        for depth in w_d
+    ]
     table = {
         "strain (4.4) exact": strains[0] / strains[1],
         "and balance (4.1) exact": whole / small,

@@ -1,4 +1,4 @@
-"""A pipette that is led by sight onto a simulated egg and presses it to a force.
+"""A pipette that is led by sight onto a simulated egg and presses it to a depth.
 
 Chapter 6 of the thesis names microinjection as what comes next; nothing of this is in the thesis.
 Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px, y down.
@@ -6,7 +6,6 @@ Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px, y dow
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +19,7 @@ from scipy.special import ndtr
 
 from compendium.experiments.microscope import turned
 from microlib.embryo import extract_boundary
-from microlib.membrane import fit_capsule, indent_capsule
+from microlib.membrane import indent_capsule
 from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
 
 #: Pixel in the object plane; rows and columns of a frame; its noise in grey levels of 255.
@@ -37,9 +36,8 @@ _HOVER, _TEST = 10.0, 10.0
 _STANDOFF, _STEP = 3.0, 0.5
 #: Contact: the outline lies so many standard deviations, and px, below the untouched one, twice.
 _SIGMAS, _LEAST_SINK, _STILL_FRAMES = 4.0, 0.015, 5
-#: Dimple from which a capsule is fitted, px: at 2 px the force is open by 5 %.
-_LEAST_DIMPLE = 4.0
-#: Share of the way to the target, as a power law foretells it, that a step takes.
+#: The dimple deepens by less than the pipette advances, so that a step of this share of the depth
+#: that is left does not pass the target.
 _SHARE = 0.85
 
 
@@ -53,28 +51,19 @@ class Egg:
 
     Attributes
     ----------
-    known : dict
-        What a user would know: ``modulus``, ``thickness``, ``probe_half_width``, ``law``.
     contact, home : ndarray, shape (2,)
         Where the pipette's end touches on the axis, and where it is at the start, px.
-    force, depth : PchipInterpolator
-        Force and depth of the dimple over the way since contact.
+    depth : PchipInterpolator
+        Depth of the dimple over the way since contact.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._radius, self._thickness = rng.uniform(520.0, 660.0), 3.0
         self._half_width = rng.uniform(18.0, 32.0)
-        self.known: dict[str, Any] = {
-            "modulus": rng.uniform(0.5, 2.0),
-            "thickness": self._thickness,
-            "probe_half_width": self._half_width,
-            "law": "neo-hooke" if rng.random() < 0.5 else "mooney-rivlin",
-        }
-        way, force, depth, outline = self._solve(rng.uniform(1.01, 1.08))
-        self.force, self.depth, self._outline = (
-            PchipInterpolator(way, values) for values in (force, depth, outline)
-        )
+        law = "neo-hooke" if rng.random() < 0.5 else "mooney-rivlin"
+        way, depth, outline = self._solve(rng.uniform(1.01, 1.08), law)
+        self.depth, self._outline = (PchipInterpolator(way, values) for values in (depth, outline))
         rows, columns = SHAPE
         self.contact = np.array([(columns - 1) / 2, 0.45 * rows]) + rng.uniform(-6, 6, 2)
         self.home = self.contact + rng.uniform((-20, -45), (20, -35))
@@ -88,17 +77,22 @@ class Egg:
         grain = cv2.GaussianBlur(rng.standard_normal(SHAPE), (0, 0), 3.0)
         self._inner = _FLUID + yolk * (_YOLK - _FLUID + 8.0 * grain / grain.std())
 
-    def _solve(self, inflation: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-        """Return way, force, depth and outline of the states from untouched on."""
-        egg = self.known | {"radius": self._radius, "inflation": inflation}
-        unit = egg["modulus"] * self._thickness * self._radius
+    def _solve(self, inflation: float, law: str) -> tuple[NDArray, NDArray, NDArray]:
+        """Return way, depth and outline of the states from untouched on.
+
+        The modulus is 1 MPa: the shape depends on the force over the modulus alone.
+        """
+        egg: Any = {"modulus": 1.0, "capsule_radius": self._radius, "thickness": self._thickness}
+        egg |= {"probe_half_width": self._half_width, "inflation": inflation}
+        egg |= {"poisson_ratio": 0.5, "law": law}
         # Pressing raises the pressure, so that less force never lays the wall on the whole face.
         whole_face = np.pi * self._half_width**2 * indent_capsule(0.0, **egg).pressure
+        strongest = _STRONGEST * self._thickness * self._radius
         angle = np.linspace(0.0, np.pi, _ANGLES)
-        states = [(0.0, 0.0, 0.0, np.full(_ANGLES, self._radius))]
+        states = [(0.0, 0.0, np.full(_ANGLES, self._radius))]
         # Until the wall lies on the whole face, 3 to 8 µm after the first touch, the states are
-        # interpolated: forces there are up to 0.1 µN off those of a face on which it slides.
-        for force in np.geomspace(1.02 * whole_face, _STRONGEST * unit, _STATES):
+        # interpolated.
+        for force in np.geomspace(1.02 * whole_face, strongest, _STATES):
             try:
                 state = indent_capsule(float(force), **egg)
             except ValueError:  # what does not carry its load at some step does at the next
@@ -107,9 +101,9 @@ class Egg:
             r, z = np.append(0.0, state.r), np.append(state.z[0], state.z) - self._radius
             order = np.argsort(np.arctan2(r, z), kind="stable")
             own = np.interp(angle, np.arctan2(r, z)[order], np.hypot(r, z)[order])
-            states.append((state.approach, float(force), state.depth, own))
-        way, forces, depth, outline = zip(*states, strict=True)
-        return np.array(way), np.array(forces), np.array(depth), np.array(outline)
+            states.append((state.approach, state.depth, own))
+        way, depth, outline = zip(*states, strict=True)
+        return np.array(way), np.array(depth), np.array(outline)
 
     def way(self, tip: NDArray) -> float:
         """Return how far a pipette whose end is at `tip` has come since contact; zero before."""
@@ -139,6 +133,11 @@ class Sight:
     outline: NDArray
     center: NDArray
     radius: float
+
+    @property
+    def dimple(self) -> float:
+        """Depth of the pipette's end below the crest of the outline, px."""
+        return float(self.tip[1] - self.outline[:, 1].min())
 
     def sunk(self, reference: Sight) -> float:
         """Return how far the outline near the pipette lies below another's circle, px."""
@@ -176,7 +175,7 @@ class TipTracker:
 
 
 def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
-    """Bring a pipette over an egg, down to contact, and press it to a force.
+    """Bring a pipette over an egg, down to contact, and press it to a depth.
 
     Parameters
     ----------
@@ -188,22 +187,20 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``log`` (a data frame: time, phase, way, force and depth as seen and as they truly are),
-        ``pictures`` (at the start, at contact and at the target), ``late`` (how far after the true
-        contact it was seen, µm), ``force error`` and ``depth error`` (relative, at the target), and
-        the number of ``frames``.
+        ``log`` (a data frame: time, phase, depth as seen and as it truly is), ``pictures`` (at the
+        start, at contact and at the target), ``late`` (how far after the true contact it was seen,
+        µm), ``depth error`` (relative, at the target), ``target`` (µm) and the number of
+        ``frames``.
 
     Raises
     ------
     ValueError
-        If the pipette or the egg is not seen, contact does not come where it should, or the target
-        was passed by a tenth.
+        If the pipette or the egg is not seen, or contact does not come where it should.
     """
     rng = np.random.default_rng([seed, 81])
     egg = Egg(rng)
-    last = 0.85 * float(egg.force.x[-1])  # of the ways that the states reach
-    ways = np.linspace(0.0, last, 400)
-    target = float(egg.force(np.interp(rng.uniform(18.0, egg.depth(last)), egg.depth(ways), ways)))
+    last = 0.85 * float(egg.depth.x[-1])  # of the ways that the states reach
+    target = rng.uniform(18.0, float(egg.depth(last)))
     jacobian = turned(rng.uniform(0, 2 * np.pi), 1 / PIXEL_SIZE, bool(rng.random() < 0.5))
     workstation = SimulatedWorkstation(
         egg.frame,
@@ -233,9 +230,8 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
             workstation.clock.sleep(0.002)
         frame, time = workstation.camera.snap()
         pictures.append(frame)
-        way = egg.way(workstation.feature)
-        true = {"true_force": float(egg.force(way)), "true_depth": float(egg.depth(way))}
-        rows.append({"time_s": time, "phase": phase, "force_uN": np.nan, "depth_um": np.nan} | true)
+        depth = float(egg.depth(egg.way(workstation.feature)))
+        rows.append({"time_s": time, "phase": phase, "depth_um": np.nan, "true_depth_um": depth})
         return see(frame), rows[-1]
 
     reference, _ = look(0.0, "approach")
@@ -257,35 +253,14 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
         if advance > gap + 2 * PIXEL_SIZE:
             raise ValueError("no contact is seen where the egg should be touched")
         advance += _STEP
-    touched, late = advance - _STEP, egg.way(workstation.feature)
+    late = egg.way(workstation.feature)
     at_contact = len(pictures) - 1
 
-    known: list[tuple[float, float]] = []
-    fit: Any = None
-    step, unread = PIXEL_SIZE, 0
-    while not known or known[-1][1] < 0.98 * target:
-        advance += step
-        sight, row = look(advance, "press")
-        if (sight.tip[1] - sight.outline[:, 1].min()) < _LEAST_DIMPLE:
-            continue
-        found = _capsule(sight, reference, egg.known, fit, advance - touched)
-        if found is None:
-            unread += 1
-            if unread == 3:
-                raise ValueError("no capsule has the outline in three frames")
-            continue
-        fit = found
-        row |= {"force_uN": egg.known["modulus"] / fit.modulus, "depth_um": fit.state.depth}
-        known.append((advance - touched, row["force_uN"]))
-        if known[-1][1] > 1.1 * target:
-            raise ValueError(f"the target was passed: {known[-1][1]:.3g} µN")
-        power = 1.5
-        if len(known) > 1:
-            longer, stronger = np.diff(np.log(known[-2:]), axis=0)[0]
-            power = float(np.clip(stronger / longer, 1.0, 3.0))
-        left = known[-1][0] * (target / known[-1][1]) ** (1 / power) - known[-1][0]
-        step = float(np.clip(_SHARE * left, _STEP, press_step))
-    reached = rows[-1]
+    seen = 0.0
+    while target - seen > _STEP / 2:
+        advance += float(np.clip(_SHARE * (target - seen), _STEP, press_step))
+        sight, reached = look(advance, "press")
+        reached["depth_um"] = seen = sight.dimple * PIXEL_SIZE
     at_target = len(pictures) - 1
     for back in np.linspace(advance, 0.0, 5)[1:]:
         look(float(back), "withdraw")
@@ -294,31 +269,7 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
         "pictures": [pictures[k] for k in (0, at_contact, at_target)],
         "contact": rows[at_contact - 1]["time_s"],
         "late": late,
-        "force error": reached["force_uN"] / reached["true_force"] - 1,
-        "depth error": reached["depth_um"] / reached["true_depth"] - 1,
+        "depth error": reached["true_depth_um"] / target - 1,
+        "target": target,
         "frames": len(run.log) + len(rows),
     }
-
-
-def _capsule(sight: Sight, reference: Sight, known: dict[str, Any], before: Any, way: float) -> Any:
-    """Return the capsule that has this outline and the dimple that is seen; None if none has.
-
-    Of a force of 1 µN the shape knows only F/(E h R), so that the modulus is that over the force.
-    """
-    seen = (sight.tip[1] - sight.outline[:, 1].min()) * PIXEL_SIZE
-    starts = [(before.modulus, before.inflation)] if before else []
-    starts += [(1 / (f * known["thickness"] * way), s) for f, s in ((0.07, 1.03), (0.14, 1.06))]
-    for start in starts:
-        with suppress(ValueError):  # no capsule is like it, from there
-            fit = fit_capsule(
-                1.0,
-                PIXEL_SIZE * sight.outline[:: max(1, len(sight.outline) // 160)] * (1, -1),
-                thickness=known["thickness"],
-                probe_half_width=known["probe_half_width"],
-                radius=reference.radius * PIXEL_SIZE,
-                law=known["law"],
-                start=start,
-            )
-            if abs(fit.state.depth / seen - 1) < 0.5:  # a search that lost its way is far off
-                return fit
-    return None

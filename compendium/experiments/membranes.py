@@ -51,7 +51,7 @@ LAWS = ("neo-hooke", "hooke", "mooney-rivlin")
 PRIORS: dict[str, tuple[float, float]] = {
     "thickness": (0.8 * INPUTS["thickness"], 1.2 * INPUTS["thickness"]),
     "probe_half_width": (0.85 * INPUTS["probe_half_width"], 1.15 * INPUTS["probe_half_width"]),
-    "radius": (500.0, 700.0),
+    "capsule_radius": (500.0, 700.0),
     "inflation": (1.0, 1.1),
     "pressure": (0.0, 1.0),
     "pretension": (0.0, 0.05),
@@ -72,7 +72,7 @@ def modulus_ratios(disc: str) -> pd.Series:
     """Return a disc's modulus over that of (4.7), by the relative depth w_d/a that a load makes."""
     a, found = INPUTS["rim_radius"], {}
     for load in _LOADS * thesis.MEMBRANE["thickness"] * a:  # µN, for a modulus of 1 MPa
-        state = indent_disc(load, modulus=1.0, radius=a, **thesis.MEMBRANE, **DISCS[disc])
+        state = indent_disc(load, a, modulus=1.0, **thesis.MEMBRANE, **DISCS[disc])
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
             found[state.depth / a] = 1 / thesis.modulus(a, state.depth, force=load)
     return pd.Series(found)
@@ -88,20 +88,20 @@ def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray]:
 
 def shapes(radius: float, depth: float) -> dict[str, tuple[float, NDArray, NDArray]]:
     """Return modulus (MPa) and meridian (r, z, µm) of membranes with that radius and depth."""
-    c, h = INPUTS["probe_half_width"], INPUTS["thickness"]
+    c = INPUTS["probe_half_width"]
     r = np.linspace(c, radius, 400)
     profile = dimple_profile(r, radius, depth, probe_half_width=c)
     with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
         found = {"profile (4.2)": (thesis.modulus(radius, depth), r, -profile)}
     discs = {"disc, neo-Hooke": {}, "disc, Hooke": {"law": "hooke"}}
     for name, how in (discs | {"disc, taut by 100 %": {"pretension": 1.0}}).items():
-        settings: dict[str, Any] = {"thickness": h, "probe_half_width": c, **how}
+        settings: dict[str, Any] = thesis.MEMBRANE | how
         modulus = disc_modulus(thesis.FORCE, radius, depth, **settings)
-        state = indent_disc(thesis.FORCE, modulus=modulus, radius=radius, **settings)
+        state = indent_disc(thesis.FORCE, radius, modulus=modulus, **settings)
         found[name] = modulus, state.r, state.z - state.z[-1]
     for law in LAWS[:2]:
         egg = capsule_modulus(
-            thesis.FORCE, radius, depth, radius=EGG, thickness=h, probe_half_width=c, law=law
+            thesis.FORCE, radius, depth, capsule_radius=EGG, law=law, **thesis.MEMBRANE
         )
         crest = int(np.argmax(egg.state.z)) + 1
         meridian = egg.state.r[:crest], egg.state.z[:crest] - egg.state.z[crest - 1]
@@ -167,7 +167,8 @@ def modulus_posterior(
     -------
     pandas.DataFrame
         A row each draw: modulus E (MPa), law, thickness and probe_half_width (µm), rim_radius (µm),
-        and radius (µm) and inflation of a capsule, or pressure, pretension and rim_inset of a disc.
+        and capsule_radius (µm) and inflation of a capsule, or pressure, pretension and rim_inset of
+        a disc.
 
     Notes
     -----
@@ -178,7 +179,8 @@ def modulus_posterior(
     (w_d, c/L). A prior of E that is even in ln E is one that is even in ln F/(E h L).
     """
     _, depth = printed_dimple()
-    kinds = ("rim_radius", "probe_half_width") + (("radius",) if membrane == "capsule" else ())
+    kinds = ["rim_radius", "probe_half_width"]
+    kinds += ["capsule_radius"] if membrane == "capsule" else []
     limits = {name: crest if name == "rim_radius" else PRIORS[name] for name in kinds}
     parts = []
     for law in LAWS:
@@ -192,7 +194,7 @@ def modulus_posterior(
         found["probe_half_width"] = found.pop("slenderness") * size
         found["rim_radius"] = shape[:, -1] * size if membrane == "capsule" else size
         if membrane == "capsule":
-            found["radius"] = size
+            found["capsule_radius"] = size
         inside = [found[name].between(*ends) for name, ends in limits.items()]
         parts.append(found.assign(weight=np.all(inside, axis=0) * size**2))
     every = pd.concat(parts, ignore_index=True)
@@ -221,7 +223,7 @@ def _inputs(membrane: str, unit: NDArray, crest: tuple[float, float]) -> dict[st
         inflation = _between(PRIORS["inflation"], stretch**2)
         base, rise = _USUAL_LOAD
         load = (base + rise * (inflation - 1)) * np.exp(_LOAD_REACH * (2 * swing - 1))
-        least, most = PRIORS["radius"]
+        least, most = PRIORS["capsule_radius"]
         names = {"inflation": inflation, "load": load}
     else:
         swing, below, stretch, inset, width = unit.T
@@ -241,13 +243,16 @@ def _between(ends: tuple[float, ...], share: NDArray) -> NDArray:
 
 def _lengths(membrane: str, law: str, inputs: dict[Any, Any]) -> tuple[float, float]:
     """Return depth and radius of the rim of a membrane of size, thickness and modulus 1, or NaN."""
-    settings: dict[str, Any] = {"modulus": 1.0, "radius": 1.0, "thickness": 1.0, "law": law}
+    settings: dict[str, Any] = {"modulus": 1.0, "thickness": 1.0, "poisson_ratio": 0.5, "law": law}
     settings |= inputs
     load, settings["probe_half_width"] = settings.pop("load"), settings.pop("slenderness")
     if membrane == "disc":
         settings["pressure"] *= load / np.pi
     try:
-        state = (indent_capsule if membrane == "capsule" else indent_disc)(load, **settings)
+        if membrane == "capsule":
+            state = indent_capsule(load, capsule_radius=1.0, **settings)
+        else:
+            state = indent_disc(load, 1.0, **settings)
     except ValueError:
         return np.nan, np.nan  # no such state: the draws around it have none either
     return state.depth, state.rim_radius

@@ -158,7 +158,8 @@ def moduli(seed: int, count: int) -> dict[str, tuple[NDArray, NDArray]]:
     rows: dict[str, list[tuple[float, float]]] = {"follows (4.2)": [], "closed capsule": []}
     while min(map(len, rows.values())) < count:
         modulus, force, radius = rng.uniform([0.6, 60, 550], [1.8, 180, 650])
-        egg: Any = {"modulus": modulus, "radius": radius, "inflation": rng.uniform(1.01, 1.08)}
+        egg: Any = {"modulus": modulus, "capsule_radius": radius}
+        egg |= {"inflation": rng.uniform(1.01, 1.08)}
         try:
             state = indent_capsule(force, **egg, **walls)
         except ValueError:  # no dimple at this force

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -19,8 +20,8 @@ FILES = ("table", "look.png")
 def add_options(parser: argparse.ArgumentParser) -> None:
     outline = "table with columns x and y, or col and row, or two columns; px, or µm (x_um, y_um)"
     parser.add_argument("source", metavar="OUTLINE", help=outline)
-    add_scales(parser, "force", "force_std", "pixel_size", "thickness", "thickness_std")
-    add_scales(parser, "probe_half_width", "poisson_ratio")
+    add_scales(parser, "force", "force_uncertainty", "pixel_size")
+    add_scales(parser, "thickness", "thickness_uncertainty", "probe_half_width", "poisson_ratio")
     parser.add_argument(
         "--y-down", action="store_true", help="y increases downwards, as in an image"
     )
@@ -43,7 +44,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
     scales = "force", "pixel_size", "thickness", "probe_half_width", "poisson_ratio"
     values = resolve_scales(a, session, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
-    stds = {"force": a.force_std or 0.0, "thickness": a.thickness_std or 0.0}
+    uncertainties = {
+        "force": a.force_uncertainty or 0.0,
+        "thickness": a.thickness_uncertainty or 0.0,
+    }
     down = a.y_down or table.y_down
     measured = dimple_from_outline(table.x, -table.y if down else table.y, pixel_size=size)
     if measured.y_down:
@@ -51,8 +55,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
         seen = "up" if down else "down"
         session.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
-    left, left_text = _estimate(measured.left, values, stds)
-    right, right_text = _estimate(measured.right, values, stds)
+    left, left_text = _estimate(measured.left, values, uncertainties)
+    right, right_text = _estimate(measured.right, values, uncertainties)
     low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
@@ -72,23 +76,25 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
 
 def _estimate(
-    dimple: Any, values: dict[str, float], stds: dict[str, float]
+    dimple: Any, values: dict[str, float], uncertainties: dict[str, float]
 ) -> tuple[dict[str, float], str]:
     """Return the modulus of a dimple with its inputs, and a summary."""
     from microlib import membrane
 
     values = values | {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
-    radius_std, depth_std = np.sqrt(np.diag(dimple.covariance)).tolist()
-    stds = stds | {"rim_radius": radius_std, "dimple_depth": depth_std}
+    radius, depth = np.sqrt(np.diag(dimple.covariance)).tolist()
+    uncertainties = uncertainties | {"rim_radius": radius, "dimple_depth": depth}
     modulus = float(membrane.elastic_modulus(**values))
-    samples = membrane.modulus_samples(values, stds, size=100_000, rng=1)
+    samples = membrane.modulus_samples(values, uncertainties, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
     found = {"modulus_MPa": modulus}
-    found["finite_slope_modulus_MPa"] = float(membrane.finite_slope_modulus(**values))
+    found["finite_slope_modulus_MPa"] = np.nan
+    with suppress(ValueError):  # no uniform stress has a dimple as deep as this
+        found["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
     found |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
-    found |= {f"{name}_std": std for name, std in stds.items()}
+    found |= {f"{name}_uncertainty": value for name, value in uncertainties.items()}
     return found, (
         f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
-        f"a = {dimple.rim_radius:.1f} ± {radius_std:.1f} µm, "
-        f"w_d = {dimple.dimple_depth:.1f} ± {depth_std:.1f} µm"
+        f"a = {dimple.rim_radius:.1f} ± {radius:.1f} µm, "
+        f"w_d = {dimple.dimple_depth:.1f} ± {depth:.1f} µm"
     )

@@ -28,9 +28,9 @@ _SCALES = {
         "estimated if it is not given",
     ),
     "force": ("µN", "force of the probe"),
-    "force_std": ("µN", "standard deviation of the force; 0 by default"),
+    "force_uncertainty": ("µN", "standard deviation of the force; 0 by default"),
     "thickness": ("µm", "thickness of the membrane"),
-    "thickness_std": ("µm", "standard deviation of the thickness; 0 by default"),
+    "thickness_uncertainty": ("µm", "standard deviation of the thickness; 0 by default"),
     "probe_half_width": ("µm", "half of the width of the probe at its end"),
     "poisson_ratio": ("ratio", "Poisson ratio of the membrane; 0.5 for constant volume"),
 }

@@ -23,7 +23,7 @@ from microlib.membrane import (
     capsule_modulus,
     disc_modulus,
     elastic_modulus,
-    modulus_std,
+    modulus_uncertainty,
 )
 
 #: Number of standard deviations on either side of a normal 95 % interval.
@@ -122,7 +122,9 @@ class ImageEstimate(Tidy):
                     found[f"disc, {law}{suffix}"] = modulus
             if radius is not None:
                 with suppress(ValueError):  # no such capsule has this dimple
-                    capsule = capsule_modulus(self.force, *dimple, radius=radius, **settings)
+                    capsule = capsule_modulus(
+                        self.force, *dimple, capsule_radius=radius, **settings
+                    )
                     found[f"capsule, {law}"] = capsule.modulus
         return found
 
@@ -212,7 +214,7 @@ def modulus_from_image(
     sizes = {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     inputs = {"force": load, **sizes, **given}
     modulus = float(elastic_modulus(**inputs))
-    std = modulus_std(inputs, {}, dimple_covariance=dimple.covariance) / modulus
+    std = modulus_uncertainty(inputs, {}, dimple_covariance=dimple.covariance) / modulus
     return ImageEstimate(
         force=load,
         modulus=modulus,

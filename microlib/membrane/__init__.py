@@ -25,11 +25,12 @@ an egg, of known rim, depth and       `indent_capsule`            +102 % at 0.49
 radius                                                            h = 3 µm, inflation 1 to 8 %);
                                                                   +16 to 51 % for the dimple of
                                                                   the thesis
-the same capsule, of known outline    `fit_capsule`               as above
 ====================================  ==========================  =================================
 
-No clamped disc has a uniform stress. `modulus_std` and `modulus_samples` compute the error of (5.2)
-that follows from the errors of its inputs.
+A depth at which a model has no equilibrium raises a `ValueError` in every function. The formulas of
+the thesis have a value at every depth. They warn with a `SmallSlopeWarning` where w_d/a exceeds
+0.1. No clamped disc has a uniform stress. `modulus_uncertainty` and `modulus_samples` compute the
+error of (5.2) that follows from the errors of its inputs.
 """
 
 from microlib.membrane._finite_slope import finite_slope_modulus, steepest_depth
@@ -42,12 +43,14 @@ from microlib.membrane._point_load import (
     mean_strain,
     membrane_stress,
 )
-from microlib.membrane._uncertainty import modulus_samples, modulus_std
-from microlib.membrane.large._capsule import capsule_modulus, indent_capsule
+from microlib.membrane._uncertainty import modulus_samples, modulus_uncertainty
+from microlib.membrane.large._capsule import CapsuleModulus, capsule_modulus, indent_capsule
 from microlib.membrane.large._disc import disc_modulus, indent_disc
-from microlib.membrane.large._fit_capsule import fit_capsule
+from microlib.membrane.large._solver import MembraneState
 
 __all__ = [
+    "CapsuleModulus",
+    "MembraneState",
     "SmallSlopeWarning",
     "capsule_modulus",
     "dimple_depth",
@@ -55,13 +58,12 @@ __all__ = [
     "disc_modulus",
     "elastic_modulus",
     "finite_slope_modulus",
-    "fit_capsule",
     "indent_capsule",
     "indent_disc",
     "indentation_force",
     "mean_strain",
     "membrane_stress",
     "modulus_samples",
-    "modulus_std",
+    "modulus_uncertainty",
     "steepest_depth",
 ]

@@ -70,13 +70,13 @@ def finite_slope_modulus(
     Returns
     -------
     float
-        Modulus E, in MPa. NaN if `dimple_depth` is above `steepest_depth`, where no uniform stress
-        balances the force.
+        Modulus E, in MPa.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range or is not a single number.
+        If an argument is out of its range or is not a single number, or if `dimple_depth` is above
+        `steepest_depth`, where no uniform stress balances the force.
 
     Notes
     -----
@@ -97,8 +97,11 @@ def finite_slope_modulus(
     load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
     h = scalar("thickness", thickness, above=0)
     nu = poisson(poisson_ratio)
-    if depth > _depth(1.0, a, c):
-        return float("nan")
+    if depth > (steepest := _depth(1.0, a, c)):
+        raise ValueError(
+            f"dimple_depth must be at most {steepest:.4g} µm (steepest_depth), since no uniform "
+            f"stress balances a deeper dimple, got {depth:.4g} µm"
+        )
     # sin θ at the probe, in (0, 1], is proportional to k and takes its place as the unknown.
     sine_at_probe = brentq(
         lambda sine: _depth(sine, a, c) - depth, 0.0, 1.0, xtol=np.finfo(float).eps

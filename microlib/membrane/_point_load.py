@@ -179,8 +179,8 @@ def indentation_force(
 def dimple_depth(
     force: ArrayLike,
     rim_radius: ArrayLike,
-    modulus: ArrayLike,
     *,
+    modulus: ArrayLike,
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
@@ -194,7 +194,7 @@ def dimple_depth(
     force : array_like
         Indentation force F, in µN.
     rim_radius : array_like
-        Dimple radius a, in µm.
+        Distance a from the dimple's axis to its rim, in µm.
     modulus : array_like
         Elastic modulus E, in MPa.
     thickness, probe_half_width, poisson_ratio : array_like
@@ -219,7 +219,7 @@ def dimple_depth(
     --------
     >>> from microlib.membrane import dimple_depth
     >>> depth = dimple_depth(
-    ...     0.838, 250.0, 1.3, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
+    ...     0.838, 250.0, modulus=1.3, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
     >>> print(f"{depth:.2f} µm")
     20.00 µm

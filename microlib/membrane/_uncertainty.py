@@ -23,9 +23,9 @@ from microlib.membrane._point_load import (
 _INPUTS = tuple(signature(elastic_modulus).parameters)
 
 
-def modulus_std(
+def modulus_uncertainty(
     values: Mapping[str, float],
-    stds: Mapping[str, float],
+    uncertainties: Mapping[str, float],
     *,
     dimple_covariance: ArrayLike | None = None,
 ) -> float:
@@ -35,7 +35,7 @@ def modulus_std(
     ----------
     values : mapping of str to float
         The six arguments of `elastic_modulus` by name, in their units.
-    stds : mapping of str to float
+    uncertainties : mapping of str to float
         Standard deviations of independent errors by the same names and in the same units. An input
         that is left out is exact.
     dimple_covariance : array_like, shape (2, 2), optional
@@ -70,16 +70,17 @@ def modulus_std(
 
     Examples
     --------
-    >>> from microlib.membrane import modulus_std
+    >>> from microlib.membrane import modulus_uncertainty
     >>> values = dict(force=1.0, rim_radius=250.0, dimple_depth=20.0, thickness=3.0,
     ...               probe_half_width=25.0, poisson_ratio=0.5)
-    >>> print(f"{modulus_std(values, dict(dimple_depth=0.2)):.3f} MPa")  # 1 % of w_d, 3 % of E
+    >>> of_depth = modulus_uncertainty(values, dict(dimple_depth=0.2))  # 1 % of w_d, 3 % of E
+    >>> print(f"{of_depth:.3f} MPa")
     0.047 MPa
     >>> together = [[1.0, 0.18], [0.18, 0.04]]  # radius to 1 µm, correlated with the depth by 0.9
-    >>> print(f"{modulus_std(values, {}, dimple_covariance=together):.3f} MPa")
+    >>> print(f"{modulus_uncertainty(values, {}, dimple_covariance=together):.3f} MPa")
     0.031 MPa
     """
-    inputs, covariance = _check_errors(values, stds, dimple_covariance)
+    inputs, covariance = _check_errors(values, uncertainties, dimple_covariance)
     zeta = inputs["probe_half_width"] / inputs["rim_radius"]
     x = annulus(zeta)
     by_zeta = 2 * x**2 / log_remainder(zeta, 3) + 2 * zeta**2 / x - 6 * x / log_remainder(zeta, 2)
@@ -101,7 +102,7 @@ def modulus_std(
 
 def modulus_samples(
     values: Mapping[str, float],
-    stds: Mapping[str, float],
+    uncertainties: Mapping[str, float],
     *,
     size: int,
     rng: np.random.Generator | int,
@@ -110,8 +111,8 @@ def modulus_samples(
 
     Parameters
     ----------
-    values, stds : mapping of str to float
-        As for `modulus_std`.
+    values, uncertainties : mapping of str to float
+        As for `modulus_uncertainty`.
     size : int
         Number of samples.
     rng : numpy.random.Generator or int
@@ -125,7 +126,7 @@ def modulus_samples(
     Raises
     ------
     ValueError
-        As for `modulus_std`, or if nearly all draws have a probe wider than the dimple.
+        As for `modulus_uncertainty`, or if nearly all draws have a probe wider than the dimple.
 
     Notes
     -----
@@ -144,7 +145,7 @@ def modulus_samples(
     >>> print(f"{samples.std():.2f} MPa")
     0.05 MPa
     """
-    _, covariance = _check_errors(values, stds)
+    _, covariance = _check_errors(values, uncertainties)
     missing = whole("size", size, least=1)
     rng = generator("rng", rng)
     means, sigmas = np.array([values[name] for name in _INPUTS]), np.sqrt(np.diag(covariance))
@@ -165,27 +166,34 @@ def modulus_samples(
         if missing == 0:
             return np.concatenate(found)
     raise ValueError(
-        "stds must allow draws with a probe narrower than the dimple and poisson_ratio in "
-        f"(-1, 0.5], got {dict(stds)}"
+        "uncertainties must allow draws with a probe narrower than the dimple and poisson_ratio in "
+        f"(-1, 0.5], got {dict(uncertainties)}"
     )
 
 
 def _check_errors(
     values: Mapping[str, float],
-    stds: Mapping[str, float],
+    uncertainties: Mapping[str, float],
     dimple_covariance: ArrayLike | None = None,
 ) -> tuple[dict[str, Array], Array]:
     """Return the inputs of (5.2) and their covariance, in the order of `_INPUTS`."""
     if set(values) != set(_INPUTS):
         raise ValueError(f"values must have the keys {sorted(_INPUTS)}, got {sorted(values)}")
-    if not set(stds) <= set(_INPUTS):
-        raise ValueError(f"stds must have keys among {sorted(_INPUTS)}, got {sorted(stds)}")
+    if not set(uncertainties) <= set(_INPUTS):
+        raise ValueError(
+            f"uncertainties must have keys among {sorted(_INPUTS)}, got {sorted(uncertainties)}"
+        )
     inputs = check_inputs(**{name: scalar(f"values[{name!r}]", values[name]) for name in values})
-    known_stds = {name: scalar(f"stds[{name!r}]", stds[name], least=0) for name in stds}
-    covariance = np.diag([known_stds.get(name, 0.0) ** 2 for name in _INPUTS])
+    stds = {
+        name: scalar(f"uncertainties[{name!r}]", uncertainties[name], least=0)
+        for name in uncertainties
+    }
+    covariance = np.diag([stds.get(name, 0.0) ** 2 for name in _INPUTS])
     if dimple_covariance is not None:
-        if twice := [name for name in _INPUTS[1:3] if name in stds]:
-            raise ValueError(f"stds must not repeat what dimple_covariance contains, got {twice}")
+        if twice := [name for name in _INPUTS[1:3] if name in uncertainties]:
+            raise ValueError(
+                f"uncertainties must not repeat what dimple_covariance contains, got {twice}"
+            )
         both = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=False)
         covariance[1:3, 1:3] = both
     return inputs, covariance

@@ -335,7 +335,7 @@ def _depth(embryo: Embryo, force: float, radius: float) -> float:
             dimple_depth(
                 force,
                 radius,
-                embryo.modulus,
+                modulus=embryo.modulus,
                 thickness=embryo.thickness,
                 probe_half_width=embryo.probe_half_width,
                 poisson_ratio=embryo.poisson_ratio,

@@ -56,7 +56,7 @@ def results(value: object) -> list[object]:
     return [value] if known and type(value).__module__.startswith("microlib.") else []
 
 
-@pytest.mark.parametrize("name", [n for n in fuzz.names() if n not in fuzz.SLOW])
+@pytest.mark.parametrize("name", fuzz.names())
 def test_every_result_has_repr_row_and_pickle(name):
     result, wrong = fuzz.answer(name, {})
     assert wrong is None

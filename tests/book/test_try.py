@@ -12,7 +12,12 @@ from playwright.sync_api import Browser, Page
 from compendium.experiments.chapter_2 import turned_camera
 from microlib.curvature import hk_labels, surface_curvature
 from microlib.focus import depth_from_focus, sum_modified_laplacian
-from microlib.membrane import SmallSlopeWarning, dimple_profile, elastic_modulus, modulus_std
+from microlib.membrane import (
+    SmallSlopeWarning,
+    dimple_profile,
+    elastic_modulus,
+    modulus_uncertainty,
+)
 from microlib.servoing import CameraTiming, StageModel, loop_poles, simulate
 from tests.book.browsing import hindrances, open_page
 
@@ -73,7 +78,7 @@ def test_browser_moduli_equal_library(tools: Page) -> None:
     wanted = []
     for one, std, r in zip(drawn, stds, radii, strict=True):
         profile = dimple_profile(r, **{name: one[name] for name in DIMPLE})
-        wanted.append([elastic_modulus(**one), modulus_std(one, std), profile])
+        wanted.append([elastic_modulus(**one), modulus_uncertainty(one, std), profile])
     np.testing.assert_allclose(found, wanted, **SAME)
 
 

@@ -29,9 +29,10 @@ def posterior(request, crest, monkeypatch):
 def direct(row: pd.Series) -> float:
     """E of a draw by the inverse solvers, which the posterior does not use."""
     sizes = {"thickness": row.thickness, "probe_half_width": row.probe_half_width, "law": row.law}
+    sizes["poisson_ratio"] = 0.5
     if "inflation" in row:
-        radius, rim = row.radius, row.rim_radius
-        return capsule_modulus(thesis.FORCE, rim, DEPTH, radius=radius, **sizes).modulus
+        sizes["capsule_radius"] = row.capsule_radius
+        return capsule_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes).modulus
     pressure = row.pressure * thesis.FORCE / (np.pi * row.rim_radius**2)
     before = {"pretension": row.pretension, "rim_inset": row.rim_inset, "pressure": pressure}
     return disc_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes, **before)

@@ -69,6 +69,7 @@ def test_model_interval_contains_true_modulus(pressed_capsule):
         found.dimple.dimple_depth,
         thickness=scene.thickness,
         probe_half_width=scene.probe_half_width,
+        poisson_ratio=0.5,
         law="hooke",
     )
     assert found.model_moduli["disc, hooke"] == pytest.approx(by_hand, rel=1e-9)
@@ -87,7 +88,12 @@ def test_capsule_is_among_models_if_both_ends_of_outline_are_steep(pressed_capsu
     # The capsule's radius is found within 2 %, hence the modulus within 5 %.
     dimple, steep = moduli(slice(163, 480))
     by_hand = capsule_modulus(
-        scene.force, dimple.rim_radius, dimple.dimple_depth, radius=scene.radius, **sizes
+        scene.force,
+        dimple.rim_radius,
+        dimple.dimple_depth,
+        capsule_radius=scene.capsule_radius,
+        poisson_ratio=0.5,
+        **sizes,
     ).modulus
     assert steep["capsule, neo-hooke"] == pytest.approx(by_hand, rel=0.05)
     for rows in (slice(190, 480), slice(163, 450)):

@@ -12,7 +12,9 @@ from microlib.membrane import capsule_modulus, indent_capsule
 from tests.membrane.energy import stored
 
 R, H, C = 600.0, 3.0, 25.0
-CAPSULE: dict[str, Any] = {"modulus": 1.0, "radius": R, "thickness": H, "probe_half_width": C}
+SHELL: dict[str, Any] = {"capsule_radius": R, "thickness": H, "probe_half_width": C}
+SHELL |= {"poisson_ratio": 0.5}
+CAPSULE = SHELL | {"modulus": 1.0}
 SPHERE = 4 / 3 * np.pi * R**3
 STATES = [
     ("neo-hooke", 1.05, 100.0),
@@ -194,7 +196,7 @@ def test_capsule_modulus_inverts_indent_capsule_for_printed_dimple(
     law: str, inflation: float, modulus: float
 ) -> None:
     force, a, depth = 197.24, 246.95, 121.22
-    shell: dict[str, Any] = {"radius": R, "thickness": H, "probe_half_width": C, "law": law}
+    shell = SHELL | {"law": law}
     found = capsule_modulus(force, a, depth, **shell)
     assert found.modulus == pytest.approx(modulus, rel=5e-3)
     assert found.inflation == pytest.approx(inflation, abs=1e-3)
@@ -206,7 +208,7 @@ def test_capsule_modulus_inverts_indent_capsule_for_printed_dimple(
 
 
 def test_capsule_modulus_allows_slack_middle() -> None:
-    found = capsule_modulus(197.24, 246.95, 121.22, radius=500.0, thickness=H, probe_half_width=C)
+    found = capsule_modulus(197.24, 246.95, 121.22, **SHELL | {"capsule_radius": 500.0})
     assert np.isnan(found.state.stretches[:, -1]).all()
     assert not found.state.stresses[:, -1].any()
     assert found.modulus == pytest.approx(2.15, rel=0.03)

@@ -9,15 +9,14 @@ from microlib.membrane import disc_modulus, elastic_modulus, indent_disc
 from tests.membrane.energy import stored
 
 A, H, C, F = 246.95, 3.0, 25.0, 197.24
-DISC: dict[str, Any] = {"radius": A, "thickness": H, "probe_half_width": C}
+DISC: dict[str, Any] = {"thickness": H, "probe_half_width": C, "poisson_ratio": 0.5}
 
 
 @pytest.mark.parametrize("force", [1e-6, 1e-3])
 def test_force_matches_closed_form_for_small_slopes(force: float) -> None:
     # ν = 1/3, no pressure: no point moves sideways, N₁ falls with X^(−2/3).
-    depth = indent_disc(
-        force, modulus=1.0, poisson_ratio=1 / 3, law="hooke", pressure=0, **DISC
-    ).depth
+    cork = DISC | {"poisson_ratio": 1 / 3}
+    depth = indent_disc(force, A, modulus=1.0, law="hooke", pressure=0, **cork).depth
     wanted = np.pi / 3 * H * depth**3 / (A**2 * (1 - (C / A) ** (2 / 3)) ** 3)
     assert force == pytest.approx(wanted, rel=1e-3 * (depth / A / 0.0085) ** 2)
 
@@ -37,11 +36,10 @@ def test_force_matches_closed_form_for_small_slopes(force: float) -> None:
 def test_ratio_to_point_load_modulus_matches_independent_solver(
     law: str, pressure: float | str, steepness: float, ratio: float
 ) -> None:
-    settings: dict[str, Any] = {"thickness": H, "probe_half_width": C, "poisson_ratio": 0.5}
-    got = disc_modulus(F, A, steepness * A, law=law, pressure=pressure, **settings)
-    thesis = float(elastic_modulus(F, A, steepness * A, **settings))
+    got = disc_modulus(F, A, steepness * A, law=law, pressure=pressure, **DISC)
+    thesis = float(elastic_modulus(F, A, steepness * A, **DISC))
     assert got / thesis == pytest.approx(ratio, rel=2e-3)
-    state = indent_disc(F, modulus=got, radius=A, law=law, pressure=pressure, **settings)
+    state = indent_disc(F, A, modulus=got, law=law, pressure=pressure, **DISC)
     assert state.depth == pytest.approx(steepness * A, rel=1e-8)
 
 
@@ -57,7 +55,7 @@ def test_ratio_to_point_load_modulus_matches_independent_solver(
     ],
 )
 def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
-    less, more = states = [indent_disc(k * F, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
+    less, more = states = [indent_disc(k * F, A, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
     energies = [stored(state, kw.get("law", "neo-hooke"), 1.0, H) for state in states]
     # Between the disc and its rim's plane, that below the probe included.
     volumes = [np.pi * C**2 * s.depth - np.trapezoid(2 * np.pi * s.r * s.z, s.r) for s in states]
@@ -68,7 +66,7 @@ def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
 
 
 def test_state_joins_probe_and_rim_with_level_tangent() -> None:
-    state = indent_disc(F, modulus=1.3, **DISC)
+    state = indent_disc(F, A, modulus=1.3, **DISC)
     assert (state.r[0], state.r[-1]) == pytest.approx((C, A))
     assert (state.z[0], state.z[-1]) == (pytest.approx(-state.depth), 0)
     assert state.pressure == pytest.approx(F / (np.pi * A**2))
@@ -79,13 +77,13 @@ def test_state_joins_probe_and_rim_with_level_tangent() -> None:
 
 def test_tight_disc_is_a_linear_spring() -> None:
     """The stress N = E λ⁻¹(λ − λ⁻⁵)/3 of the pretension carries F, as in a drumhead."""
-    small = indent_disc(1e-4, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
+    small = indent_disc(1e-4, A, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
     tension = H * (1 - 1.1**-6) / 3
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
 
 
 def test_wrinkled_disc_has_no_compressive_stress() -> None:
-    state = indent_disc(20.0, modulus=1.0, rim_inset=0.05, **DISC)
+    state = indent_disc(20.0, A, modulus=1.0, rim_inset=0.05, **DISC)
     assert state.stresses.min() == 0
     assert state.stretches[1, -1] == pytest.approx(0.95)
 
@@ -93,9 +91,9 @@ def test_wrinkled_disc_has_no_compressive_stress() -> None:
 def test_disc_modulus_is_found_near_largest_depth() -> None:
     """A disc of a third of this modulus folds."""
     settings: dict[str, Any] = {"thickness": 2.6, "probe_half_width": 27.0, "pretension": 0.04}
-    settings |= {"law": "mooney-rivlin", "rim_inset": 0.024}
+    settings |= {"law": "mooney-rivlin", "rim_inset": 0.024, "poisson_ratio": 0.5}
     got = disc_modulus(F, 255.0, 121.2, **settings)
-    assert indent_disc(F, modulus=got, radius=255.0, **settings).depth == pytest.approx(121.2)
+    assert indent_disc(F, 255.0, modulus=got, **settings).depth == pytest.approx(121.2)
 
 
 @pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
@@ -126,4 +124,4 @@ def test_depth_below_that_of_slack_disc_raises(
     depth: float, half_width: float, settings: dict[str, float]
 ) -> None:
     with pytest.raises(ValueError, match="depth must be"):
-        disc_modulus(F, A, depth, thickness=H, probe_half_width=half_width, **settings)
+        disc_modulus(F, A, depth, **DISC | {"probe_half_width": half_width}, **settings)

@@ -32,10 +32,11 @@ def test_finite_slope_modulus_matches_adaptive_quadrature(depth: float) -> None:
     assert got == pytest.approx(modulus_by_quadrature(197.24, 246.95, depth), rel=1e-6)
 
 
-def test_modulus_is_nan_beyond_steepest_depth() -> None:
+def test_depth_above_steepest_raises() -> None:
     end = steepest_depth(246.95, probe_half_width=25.0)
     assert end == pytest.approx(61.74, abs=0.01)  # by quadrature, 61.738 µm
     assert np.isfinite(finite_slope_modulus(1.0, 246.95, end * 0.999, **DATA))
-    assert np.isnan(finite_slope_modulus(1.0, 246.95, end * 1.001, **DATA))
     # The thesis' own dimple is beyond the end.
-    assert np.isnan(finite_slope_modulus(197.24, 246.95, 121.22, **DATA))
+    for depth in (end * 1.001, 121.22):
+        with pytest.raises(ValueError, match=r"dimple_depth must be at most 61\.74 µm"):
+            finite_slope_modulus(1.0, 246.95, depth, **DATA)

@@ -18,7 +18,7 @@ from microlib.membrane import (
     mean_strain,
     membrane_stress,
     modulus_samples,
-    modulus_std,
+    modulus_uncertainty,
 )
 
 # Most dimples here are steeper than the small slopes that the model assumes.
@@ -85,7 +85,9 @@ def test_force_modulus_and_depth_invert_each_other(zeta: float) -> None:
     modulus = elastic_modulus(43.0, 213.0, 17.0, **data)
     force = indentation_force(modulus, 213.0, 17.0, **data)
     assert float(force) == pytest.approx(43.0, rel=1e-12)
-    assert float(dimple_depth(43.0, 213.0, modulus, **data)) == pytest.approx(17.0, rel=1e-12)
+    assert float(dimple_depth(43.0, 213.0, modulus=modulus, **data)) == pytest.approx(
+        17.0, rel=1e-12
+    )
 
 
 def test_samples_have_stated_mean_and_std_and_are_possible_dimples() -> None:
@@ -96,7 +98,7 @@ def test_samples_have_stated_mean_and_std_and_are_possible_dimples() -> None:
     backwards = dict(reversed(VALUES.items()))
     other = modulus_samples(backwards, small, size=20_000, rng=0)
     np.testing.assert_allclose(other, samples, rtol=1e-12)
-    assert samples.std() == pytest.approx(modulus_std(VALUES, small), rel=0.02)
+    assert samples.std() == pytest.approx(modulus_uncertainty(VALUES, small), rel=0.02)
     # 100 000 draws know the mean of 50 ± 13 µN to 0.04 and a log-normal's deviation to 0.3 %.
     forces = modulus_samples(VALUES, {"force": 13.0}, size=100_000, rng=0) / modulus * 50
     assert forces.min() > 0
@@ -129,18 +131,19 @@ def test_modulus_std_matches_numerical_derivative(error, half_width) -> None:
         elastic_modulus(**values | {name: values[name] + by * std for name, std in error.items()})
         for by in (step, -step)
     )
-    given = {"stds": error}
+    given = {"uncertainties": error}
     if "rim_radius" in error:
         std = [error["rim_radius"], error["dimple_depth"]]
-        given = {"stds": {}, "dimple_covariance": np.outer(std, std)}
+        given = {"uncertainties": {}, "dimple_covariance": np.outer(std, std)}
     # Central differences: truncation of order step² and cancellation of order 1e-16/step.
-    assert modulus_std(values, **given) == pytest.approx(abs(up - down) / (2 * step), rel=1e-6)
+    by_differences = abs(up - down) / (2 * step)
+    assert modulus_uncertainty(values, **given) == pytest.approx(by_differences, rel=1e-6)
 
 
 def test_modulus_std_is_nan_for_unknown_covariance_and_known_for_zero_poisson_ratio() -> None:
-    assert np.isnan(modulus_std(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan)))
+    assert np.isnan(modulus_uncertainty(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan)))
     cork, std = VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}
-    assert modulus_std(cork, std) == pytest.approx(0.01 * float(elastic_modulus(**cork)))
+    assert modulus_uncertainty(cork, std) == pytest.approx(0.01 * float(elastic_modulus(**cork)))
 
 
 @pytest.mark.parametrize(
@@ -159,6 +162,16 @@ def test_depth_above_a_tenth_of_the_radius_warns_of_small_slopes(function, chang
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         function(**given | shallow)
+
+
+def test_steep_dimple_beside_shallow_one_warns_and_has_its_own_modulus() -> None:
+    depths = np.array([[10.0, 240.0], [24.0, 30.0]])
+    with pytest.warns(SmallSlopeWarning, match="w_d/a = 0.96") as caught:
+        both = elastic_modulus(50.0, 250.0, depths, **FILM)
+    assert len(caught) == 1
+    assert np.isfinite(both).all()
+    # E falls with the third power of the depth.
+    np.testing.assert_allclose(both * depths**3, both[0, 0] * 10.0**3)
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])

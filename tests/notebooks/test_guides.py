@@ -236,7 +236,7 @@ def test_modulus_without_standard_deviations_has_no_interval(tmp_path, monkeypat
     run_here("modulus", **numbers, thickness=3.0, probe_half_width=25.0)
     found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
     unknown = {
-        "modulus_std_MPa",
+        "modulus_uncertainty_MPa",
         *(f"modulus_{one}_MPa" for one in ("low68", "high68", "low95", "high95")),
     }
     assert set(found.index[found.isna()]) == unknown

@@ -7,7 +7,7 @@ volume is constant during a test.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,20 +17,10 @@ from microlib.membrane.large._capsule_problem import (
     CapsuleProblem,
     PrescribedDimple,
     PrescribedForce,
-    Solved,
     Zones,
 )
-from microlib.membrane.large._laws import Law, constitutive_law
-from microlib.membrane.large._solver import MembraneState, dimensional_state
-
-
-class Shell(NamedTuple):
-    """A capsule before the test, and the probe; lengths in µm."""
-
-    radius: float
-    thickness: float
-    probe_half_width: float
-    law: Law
+from microlib.membrane.large._laws import constitutive_law
+from microlib.membrane.large._solver import MembraneState, dimensional_state, meridian
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,10 +46,10 @@ def indent_capsule(
     force: float,
     *,
     modulus: float,
-    radius: float,
+    capsule_radius: float,
     thickness: float,
     probe_half_width: float,
-    poisson_ratio: float = 0.5,
+    poisson_ratio: float,
     law: str = "neo-hooke",
     inflation: float = 1.0,
 ) -> MembraneState:
@@ -68,17 +58,18 @@ def indent_capsule(
     Parameters
     ----------
     force : float
-        Force F of the probe, in µN. A force that is too small to flatten the wall on the whole face
-        of the probe is rejected.
+        Force F of the probe, in µN. Without a force, the state is the inflated sphere. A force that
+        is too small to flatten the wall on the whole face of the probe is rejected.
     modulus : float
         Elastic modulus E at small strain, in MPa.
-    radius : float
+    capsule_radius : float
         Radius R of the inflated capsule before the test, in µm.
     thickness : float
         Thickness h of the stress-free wall, before inflation, in µm.
     probe_half_width : float
-        Radius c of the probe's flat end, in µm, below `radius`. The wall is bonded to it.
-    poisson_ratio : float, optional
+        Radius c of the probe's flat end, in µm, below `capsule_radius`. The wall is
+        bonded to it.
+    poisson_ratio : float
         ν, in (−1, 0.5] for ``"hooke"``, and 0.5 for the incompressible laws.
     law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
         Constitutive law, as for `indent_disc`.
@@ -140,50 +131,27 @@ def indent_capsule(
     --------
     >>> from microlib.membrane import indent_capsule
     >>> state = indent_capsule(
-    ...     100.0, modulus=1.0, radius=600.0, thickness=3.0, probe_half_width=25.0, inflation=1.05
+    ...     100.0, modulus=1.0, capsule_radius=600.0, thickness=3.0, probe_half_width=25.0,
+    ...     poisson_ratio=0.5, inflation=1.05,
     ... )
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    shell = check_shell(radius, thickness, probe_half_width, poisson_ratio, law)
-    return solve_indentation(force, modulus, inflation, shell)[0]
-
-
-def check_shell(
-    radius: float, thickness: float, probe_half_width: float, poisson_ratio: float, law: str
-) -> Shell:
-    """Return the checked sizes and law of a capsule."""
-    r0, h = scalar("radius", radius, above=0), scalar("thickness", thickness, above=0)
-    c = scalar("probe_half_width", probe_half_width, above=0, below=r0)
-    return Shell(r0, h, c, constitutive_law(law, poisson_ratio))
-
-
-def solve_indentation(
-    force: float, modulus: float, inflation: float, shell: Shell, near: Solved | None = None
-) -> tuple[MembraneState, Solved | None]:
-    """Return the state of a capsule under a force, and its solution, which can start the next one.
-
-    `near` is the solution of a similar capsule.
-    """
     load = scalar("force", force, least=0)
     stiffness = scalar("modulus", modulus, above=0)
     stretch = scalar("inflation", inflation, least=1)
-    r0, h, c, law = shell
-    if load == 0:  # the inflated sphere, from its top to the plate
+    r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
+    material = constitutive_law(law, poisson_ratio)
+    if load == 0:  # from the top of the sphere to the plate
         angle = np.linspace(0.0, np.pi, 161)
-        stress, same = law.equibiaxial_stress(stretch), np.ones((2, angle.size))
+        stress, same = material.equibiaxial_stress(stretch), np.ones((2, angle.size))
         sphere = np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same])
-        pressure = 2 * stress / stretch
-        return dimensional_state(sphere, stiffness, h, r0, pressure=pressure), None
+        return dimensional_state(sphere, stiffness, h, r0, pressure=2 * stress / stretch)
     unit = stiffness * h * r0
-    wanted = CapsuleProblem(law, c / r0, PrescribedForce(load / unit, stretch))
-    solved = None
-    # From a finer mesh than this the solver is slower than from the sphere.
-    if near and near[1].x.size <= 400:
-        problem, guess = wanted.continue_from(*near)
-        solved = problem.solve_from(guess, problem.tolerance)
     try:
-        problem, solution = solved or wanted.solve()
+        problem, solution = CapsuleProblem(
+            material, c / r0, PrescribedForce(load / unit, stretch)
+        ).solve()
         u = problem.unpack(solution.p)
         if u.rim <= problem.probe:  # the rim of a dimple lies outside the probe
             least = np.pi * problem.probe**2 * u.pressure * unit
@@ -191,12 +159,11 @@ def solve_indentation(
                 "the wall would not be flat on the whole face of the probe, which takes about "
                 f"{least:.3g} µN"
             )
-        state = _state(problem, solution, stiffness, shell)
+        return _state(problem, solution, stiffness, h, r0)
     except ValueError as reason:
         raise ValueError(
             f"force must be one that the capsule holds, got {load:g} µN: {reason}"
         ) from None
-    return state, (problem, solution)
 
 
 def capsule_modulus(
@@ -204,10 +171,10 @@ def capsule_modulus(
     rim_radius: float,
     depth: float,
     *,
-    radius: float,
+    capsule_radius: float,
     thickness: float,
     probe_half_width: float,
-    poisson_ratio: float = 0.5,
+    poisson_ratio: float,
     law: str = "neo-hooke",
 ) -> CapsuleModulus:
     r"""Elastic modulus and inflation of a capsule from its dimple and its radius.
@@ -220,7 +187,7 @@ def capsule_modulus(
         Radius a of the dimple's crest, in µm.
     depth : float
         Depth w_d of the probe's end below the crest, in µm.
-    radius, thickness, probe_half_width, poisson_ratio, law
+    capsule_radius, thickness, probe_half_width, poisson_ratio, law
         As for `indent_capsule`.
 
     Returns
@@ -248,42 +215,51 @@ def capsule_modulus(
     Examples
     --------
     >>> from microlib.membrane import capsule_modulus
-    >>> found = capsule_modulus(
-    ...     197.24, 246.95, 121.22, radius=600.0, thickness=3.0, probe_half_width=25.0
+    >>> egg = capsule_modulus(
+    ...     197.24, 246.95, 121.22, capsule_radius=600.0, thickness=3.0, probe_half_width=25.0,
+    ...     poisson_ratio=0.5,
     ... )
-    >>> print(f"{found.modulus:.2f} MPa, inflated by {found.inflation:.3f}")
+    >>> print(f"{egg.modulus:.2f} MPa, inflated by {egg.inflation:.3f}")
     1.12 MPa, inflated by 1.042
     """
     load = scalar("force", force, above=0)
-    shell = check_shell(radius, thickness, probe_half_width, poisson_ratio, law)
-    r0, c = shell.radius, shell.probe_half_width
     a, deep = scalar("rim_radius", rim_radius, above=0), scalar("depth", depth, above=0)
+    r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
+    material = constitutive_law(law, poisson_ratio)
     if not c < a < r0:
         raise ValueError(
-            f"rim_radius must lie between probe_half_width {c:g} and radius {r0:g}, got {a:g}"
+            f"rim_radius must lie between probe_half_width {c:g} and capsule_radius {r0:g}, "
+            f"got {a:g}"
         )
     try:
         problem, solution = CapsuleProblem(
-            shell.law, c / r0, PrescribedDimple(a / r0, deep / r0)
+            material, c / r0, PrescribedDimple(a / r0, deep / r0)
         ).solve()
         u = problem.unpack(solution.p)
-        modulus = load / (u.force * shell.thickness * r0)
-        state = _state(problem, solution, modulus, shell)
+        if u.inflation < 1:
+            raise ValueError(f"an inflation of {u.inflation:.4f} would be needed")
+        modulus = load / (u.force * h * r0)
+        state = _state(problem, solution, modulus, h, r0)
     except ValueError as reason:
         raise ValueError(
             f"depth must be one that a capsule of radius {r0:g} has at rim_radius {a:g}, "
             f"got {deep:g}: {reason}"
         ) from None
-    if u.inflation < 1:
-        raise ValueError(
-            f"depth must be one of an inflated capsule, got {deep:g} at rim_radius {a:g} and "
-            f"radius {r0:g}, which needs an inflation of {u.inflation:.4f}"
-        )
     warn_if_implausible(modulus)
     return CapsuleModulus(modulus, float(u.inflation), state)
 
 
-def _state(problem: CapsuleProblem, solution: Any, modulus: float, shell: Shell) -> MembraneState:
+def _check_sizes(
+    capsule_radius: float, thickness: float, probe_half_width: float
+) -> tuple[float, float, float]:
+    r0 = scalar("capsule_radius", capsule_radius, above=0)
+    c = scalar("probe_half_width", probe_half_width, above=0, below=r0)
+    return r0, scalar("thickness", thickness, above=0), c
+
+
+def _state(
+    problem: CapsuleProblem, solution: Any, modulus: float, thickness: float, radius: float
+) -> MembraneState:
     """Return the state of a solution that does not intersect the plate, the probe or itself."""
     u, zones = problem.unpack(solution.p), Zones.unpack(solution.y)
     dimple = zones.dimple
@@ -298,13 +274,17 @@ def _state(problem: CapsuleProblem, solution: Any, modulus: float, shell: Shell)
             raise ValueError(fault)
     # The middle of the plate belongs to no zone.
     rho = np.sin(u.middle_arc) / u.inflation
-    stretch, stress = problem.middle.pole(zones.contact.r[0], rho, problem.law)
+    stretch, stress = np.nan, 0.0  # where it is slack, the stretch is undetermined
+    if not problem.slack:
+        stretch = zones.contact.r[0] / rho
+        stress = problem.law.equibiaxial_stress(stretch)
     middle = np.array([0.0, 0.0, stretch, stretch, stress, stress])
     # From the probe's edge to the middle of the plate. Zones share their ends.
-    parts = [part[:, ::-1] for part in reversed(problem.meridian(solution))]
-    meridian = np.column_stack([*parts, middle])
-    repeated = np.flatnonzero(np.hypot(*np.diff(meridian[:2])) < 1e-12) + 1
+    segments = problem.segments(solution.x, solution.y, solution.p)
+    parts = [meridian(problem.law, part)[:, ::-1] for part in reversed(segments)]
+    curve = np.column_stack([*parts, middle])
+    repeated = np.flatnonzero(np.hypot(*np.diff(curve[:2])) < 1e-12) + 1
     sizes = {"depth": dimple.z[0] - dimple.z[-1], "approach": 2 - dimple.z[-1]}
     sizes |= {"rim_radius": u.rim, "pressure": u.pressure}
-    meridian = np.delete(meridian, repeated, axis=1)
-    return dimensional_state(meridian, modulus, shell.thickness, shell.radius, **sizes)
+    curve = np.delete(curve, repeated, axis=1)
+    return dimensional_state(curve, modulus, thickness, radius, **sizes)

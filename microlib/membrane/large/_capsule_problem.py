@@ -15,7 +15,7 @@ radius, the rim radius a = √(F/πp).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.membrane.large._laws import Law
-from microlib.membrane.large._solver import BoundaryValueProblem, Guess, Segment, segment
+from microlib.membrane.large._solver import Guess, Segment, collocate, equilibrium, segment
 
 #: Volume of the inflated capsule.
 _VOLUME = 4 * np.pi / 3
@@ -42,7 +42,7 @@ class FreeZone(NamedTuple):
     r: Array
     z: Array
     horizontal: Array
-    volume: Array  # between the plate and the height z
+    volume: Array  # ∫ π r² dz along the meridian from the plate
 
 
 class Zones(NamedTuple):
@@ -82,7 +82,7 @@ class PrescribedForce:
     inflation: float
     unknowns = ()
 
-    def resolve(self, pressure: float, found: dict[str, Any]) -> tuple[float, float, float]:
+    def resolve(self, pressure: float, parameters: dict[str, Any]) -> tuple[float, float, float]:
         """Return inflation, force and rim radius."""
         return self.inflation, self.force, np.sqrt(self.force / (np.pi * pressure))
 
@@ -109,9 +109,9 @@ class PrescribedDimple:
     depth: float
     unknowns = ("inflation",)
 
-    def resolve(self, pressure: float, found: dict[str, Any]) -> tuple[float, float, float]:
+    def resolve(self, pressure: float, parameters: dict[str, Any]) -> tuple[float, float, float]:
         """Return inflation, force and rim radius."""
-        return found["inflation"], np.pi * pressure * self.rim**2, self.rim
+        return parameters["inflation"], np.pi * pressure * self.rim**2, self.rim
 
     def tension_scale(self, law: Law) -> float:
         return 0.05
@@ -124,61 +124,21 @@ class PrescribedDimple:
         return [depth - self.depth]
 
 
-class TautMiddle:
-    """The middle of the contact zone is stretched evenly.
-
-    The contact zone begins at a hundredth of its arc. The error of the even stretch inside falls
-    with the fourth power of this fraction.
-    """
-
-    unknowns = ()
-
-    def arc(self, found: dict[str, Any]) -> Any:
-        return 0.01 * found["contact_arc"]
-
-    def residual(self, start: Any, arc: float, rho: float, law: Law, scale: float) -> list[Any]:
-        """Return the residual of the even stretch where the contact zone starts."""
-        return [start.horizontal / rho - law.equibiaxial_stress(start.r / rho) / scale]
-
-    def pole(self, r: float, rho: float, law: Law) -> tuple[float, float]:
-        """Return stretch and stress in the middle."""
-        return r / rho, law.equibiaxial_stress(r / rho)
-
-
-class SlackMiddle:
-    """The wall has no stress within a circle of the contact zone, whose arc is unknown.
-
-    At the circle the wall is undeformed, r = ρ, and has no tension.
-    """
-
-    unknowns = ("middle_arc",)
-
-    def arc(self, found: dict[str, Any]) -> Any:
-        return found["middle_arc"]
-
-    def residual(self, start: Any, arc: float, rho: float, law: Law, scale: float) -> list[Any]:
-        """Return the residual of the undeformed circle where the contact zone starts."""
-        return [(start.r - rho) / arc, start.horizontal]
-
-    def pole(self, r: float, rho: float, law: Law) -> tuple[float, float]:
-        """Return stretch and stress in the middle; the stretch is undetermined."""
-        return np.nan, 0.0
-
-
 @dataclass(frozen=True)
-class CapsuleProblem(BoundaryValueProblem):
-    """The capsule under a probe of radius `probe`, for a given force or a given dimple."""
+class CapsuleProblem:
+    """The capsule under a probe of radius `probe`, for a given force or a given dimple.
+
+    The state is that of `Zones`. The methods have the form that SciPy's `solve_bvp` needs.
+    """
 
     law: Law
     probe: float
     given: PrescribedForce | PrescribedDimple
-    middle: TautMiddle | SlackMiddle = field(default_factory=TautMiddle)
-
-    # Relative residual of the collocation. The error of the depth is then about 1e-8.
-    tolerance = 1e-6
-    max_nodes = 1500
-    # Residual of the first collocation, small enough to see whether the middle is slack.
-    first_tolerance = 1e-3
+    #: Whether the wall has no stress within a circle of the contact zone, whose arc is unknown. At
+    #: the circle the wall is undeformed, r = ρ. A taut middle is stretched evenly. Its contact zone
+    #: begins at a hundredth of the arc of contact, and the error of the even stretch inside falls
+    #: with the fourth power of this fraction.
+    slack: bool = False
 
     @cached_property
     def tension_scale(self) -> float:
@@ -193,21 +153,21 @@ class CapsuleProblem(BoundaryValueProblem):
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters of `solve_bvp`, in order."""
         own = ("log_pressure", "contact_arc", "crest_arc")
-        return own + self.given.unknowns + self.middle.unknowns
+        return own + self.given.unknowns + (("middle_arc",) if self.slack else ())
 
     def unpack(self, k: Any) -> Unknowns:
         """Return the unknowns of the parameters of `solve_bvp`."""
-        found = dict(zip(self.parameter_names, k, strict=True))
-        pressure = np.exp(found["log_pressure"])
-        inflation, force, rim = self.given.resolve(pressure, found)
+        parameters = dict(zip(self.parameter_names, k, strict=True))
+        pressure = np.exp(parameters["log_pressure"])
+        inflation, force, rim = self.given.resolve(pressure, parameters)
         return Unknowns(
             pressure=pressure,
             inflation=inflation,
             force=force,
             rim=rim,
-            middle_arc=self.middle.arc(found),
-            contact_arc=found["contact_arc"],
-            crest_arc=found["crest_arc"],
+            middle_arc=parameters["middle_arc"] if self.slack else 0.01 * parameters["contact_arc"],
+            contact_arc=parameters["contact_arc"],
+            crest_arc=parameters["crest_arc"],
         )
 
     def arcs(self, x: Array, u: Unknowns) -> list[tuple[Array, Array]]:
@@ -222,8 +182,9 @@ class CapsuleProblem(BoundaryValueProblem):
         ]
 
     def segments(self, x: Array, y: Array, k: Any) -> list[Segment]:
+        """Return the three zones as segments of the meridian."""
         u = self.unpack(k)
-        found = []
+        parts = []
         zones: Any = Zones.unpack(y)
         for (arc, arc_rate), zone in zip(self.arcs(x, u), zones, strict=True):
             rho, rate = np.sin(arc) / u.inflation, arc_rate / u.inflation
@@ -232,25 +193,29 @@ class CapsuleProblem(BoundaryValueProblem):
             if isinstance(zone, FreeZone):
                 z, load = zone.z, (u.force, u.pressure)
             horizontal = self.tension_scale * zone.horizontal
-            found.append(segment(rho, rate, zone.r, z, horizontal, *load))
-        return found
+            parts.append(segment(rho, rate, zone.r, z, horizontal, *load))
+        return parts
 
-    def right_hand_side(self, x: Array, y: Array, k: Any = None) -> Array:
+    def right_hand_side(self, x: Array, y: Array, k: Any) -> Array:
+        """Return dy/dx in equilibrium."""
         rates = []
         for part in self.segments(x, y, k):
-            r, z, horizontal = self.equilibrium(part)
+            r, z, horizontal = equilibrium(self.law, part)
             rates.append(FreeZone(r, z, horizontal / self.tension_scale, np.pi * part.r**2 * z))
         contact, side, dimple = rates
         return Zones(ContactZone(contact.r, contact.horizontal), side, dimple).pack()
 
-    def boundary_residual(self, left: Array, right: Array, k: Any = None) -> Array:
+    def boundary_residual(self, left: Array, right: Array, k: Any) -> Array:
         """Return the residual: zones join, the probe's edge is held, and the volume is kept."""
         u = self.unpack(k)
         start, end = Zones.unpack(left), Zones.unpack(right)
+        r, horizontal = start.contact
         rho = np.sin(u.middle_arc) / u.inflation
-        middle = self.middle.residual(
-            start.contact, u.middle_arc, rho, self.law, self.tension_scale
-        )
+        if self.slack:
+            middle = [(r - rho) / u.middle_arc, horizontal]
+        else:
+            even = self.law.equibiaxial_stress(r / rho) / self.tension_scale
+            middle = [horizontal / rho - even]
         contact = [end.contact.r - u.rim, end.contact.horizontal - start.side.horizontal]
         side = [start.side.r - u.rim, start.side.z, start.side.volume, end.side.r - u.rim]
         crest = [start.dimple.r - u.rim, *np.subtract(start.dimple, end.side)[1:]]  # z, H, volume
@@ -291,7 +256,9 @@ class CapsuleProblem(BoundaryValueProblem):
         """Return the derivatives of the right-hand side by y and by k, from differences.
 
         The right-hand side of a zone depends on r and H of this zone alone. Two evaluations, one
-        with other radii and one with other tensions in all zones, give all derivatives by y.
+        with other radii and one with other tensions in all zones, give all derivatives by y, which
+        saves a quarter of the time. With forward differences by k, as SciPy's, no solution is found
+        where a slack middle is about to vanish.
         """
         here = self.right_hand_side(x, y, k)
         by_state = np.zeros((y.shape[0], *y.shape))
@@ -314,18 +281,33 @@ class CapsuleProblem(BoundaryValueProblem):
             by_parameter[:, index] = change / (moved[index] - k[index])
         return by_state, by_parameter
 
-    def solve_from(self, guess: Guess, tolerance: float = first_tolerance) -> Solved | None:
-        """Return a solution, with a slack middle if a taut one would be compressed."""
-        solution = self.collocate(guess, tolerance)
-        if solution is None or (u := self.unpack(solution.p)).middle_arc <= 0:
-            return None
-        compressed = Zones.unpack(solution.y).contact.r[0] < np.sin(u.middle_arc) / u.inflation
-        if compressed and isinstance(self.middle, TautMiddle):
-            slack = replace(self, middle=SlackMiddle())
-            return slack.solve_from(self._slack_guess(solution))
-        if tolerance > self.tolerance:
-            solution = self.collocate((solution.x, solution.y, solution.p))
-        return None if solution is None else (self, solution)
+    def collocate(self, guess: Guess, tolerance: float = 1e-6) -> Any:
+        """Return a solution near a guess, or None; its depth is exact to about 1e-8 of R."""
+        return collocate(
+            self.right_hand_side, self.boundary_residual, guess,
+            tolerance=tolerance, max_nodes=1500, jacobian=self.jacobian,
+        )  # fmt: skip
+
+    def solve(self) -> tuple[CapsuleProblem, Any]:
+        """Return the problem with the middle that it has, taut or slack, and its solution."""
+        problem = self
+        # A coarse solution is sufficient to see whether a taut middle is compressed.
+        solution = problem.collocate(problem.initial_guess(), 1e-3)
+        if solution is not None and problem.is_compressed(solution):
+            guess = problem._slack_guess(solution)
+            problem = replace(problem, slack=True)
+            solution = problem.collocate(guess, 1e-3)
+        if solution is not None and problem.unpack(solution.p).middle_arc > 0:
+            solution = problem.collocate((solution.x, solution.y, solution.p))
+            if solution is not None:
+                return problem, solution
+        raise ValueError("the solver does not converge")
+
+    def is_compressed(self, solution: Any) -> bool:
+        """Return whether the middle of the contact zone is shorter than the undeformed wall."""
+        u = self.unpack(solution.p)
+        rho = np.sin(u.middle_arc) / u.inflation
+        return bool(Zones.unpack(solution.y).contact.r[0] < rho)
 
     def _slack_guess(self, solution: Any) -> Guess:
         """Return a guess with a slack middle from a solution with a compressed taut one."""
@@ -338,17 +320,6 @@ class CapsuleProblem(BoundaryValueProblem):
         contact = ContactZone(r, np.maximum(horizontal, 0.0))
         # `middle_arc` is the last of the parameters of the slack problem.
         return solution.x, zones._replace(contact=contact).pack(), np.append(solution.p, middle_arc)
-
-    def continue_from(self, solved: CapsuleProblem, solution: Any) -> tuple[CapsuleProblem, Guess]:
-        """Return this problem and its guess from the solution of another problem."""
-        scale = solved.tension_scale / self.tension_scale
-        zones: Any = Zones.unpack(solution.y)
-        y = Zones(*(zone._replace(horizontal=scale * zone.horizontal) for zone in zones)).pack()
-        return replace(self, middle=solved.middle), (solution.x, y, solution.p)
-
-
-#: A problem and SciPy's solution of it.
-Solved = tuple[CapsuleProblem, Any]
 
 
 def _geometric(first: float, last: float, x: Array) -> tuple[Array, Array]:

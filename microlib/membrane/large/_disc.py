@@ -17,17 +17,19 @@ from microlib._common import Array, scalar
 from microlib.membrane._point_load import warn_if_implausible
 from microlib.membrane.large._laws import Law, constitutive_law
 from microlib.membrane.large._solver import (
-    BoundaryValueProblem,
     Guess,
     MembraneState,
     Segment,
+    collocate,
     dimensional_state,
+    equilibrium,
+    meridian,
     segment,
 )
 
 
 @dataclass(frozen=True)
-class _Disc(BoundaryValueProblem):
+class _Disc:
     """The dimensionless problem: lengths in rim radii a, forces in E h a.
 
     The state has three rows, each divided by its scale: the displacement r − λ₀X, the horizontal
@@ -42,10 +44,6 @@ class _Disc(BoundaryValueProblem):
     outer: float  # undeformed radius of the rim
     #: If given, force and pressure are initial values, and a common factor of both is unknown.
     depth: float | None = None
-
-    # Relative residual of the collocation. The error of the depth is then about 1e-9.
-    tolerance = 1e-8
-    max_nodes = 3000
 
     @property
     def scales(self) -> tuple[float, float, float]:
@@ -69,19 +67,20 @@ class _Disc(BoundaryValueProblem):
         x = self.inner * np.exp(ratio * t)
         return x, ratio * x
 
-    def segments(self, t: Array, y: Array, k: Any) -> list[Segment]:
+    def segment(self, t: Array, y: Array, k: Any) -> Segment:
         """Return the disc with its load reversed, so that V is positive: it hangs downwards."""
         displacement, tension, height = self.scales
         x, x_rate = self.undeformed(t)
         r, z = x * self.prestretch + displacement * y[0], height * y[2]
         load = 1.0 if k is None else np.exp(k[0])
         force, pressure = -load * self.force, -load * self.pressure
-        return [segment(x, x_rate, r, z, tension * y[1], force, pressure)]
+        return segment(x, x_rate, r, z, tension * y[1], force, pressure)
 
     def right_hand_side(self, t: Array, y: Array, k: Any = None) -> Array:
+        """Return dy/dt in equilibrium."""
         displacement, tension, height = self.scales
-        [disc] = self.segments(t, y, k)
-        r_rate, z_rate, horizontal_rate = self.equilibrium(disc)
+        disc = self.segment(t, y, k)
+        r_rate, z_rate, horizontal_rate = equilibrium(self.law, disc)
         moved = (r_rate - self.prestretch * disc.arc_rate) / displacement
         return np.array([moved, horizontal_rate / tension, z_rate / height])
 
@@ -113,9 +112,15 @@ class _Disc(BoundaryValueProblem):
         """Return the problem of a disc of another modulus under the same load."""
         return replace(self, force=self.force / modulus, pressure=self.pressure / modulus)
 
-    def solve_unfolded(self) -> Any:
+    def solve(self) -> Any:
         """Return the solution, or raise if H is negative somewhere, where the disc folds."""
-        _, solution = self.solve()
+        # The relative residual of 1e-8 makes the error of the depth about 1e-9.
+        solution = collocate(
+            self.right_hand_side, self.boundary_residual, self.initial_guess(),
+            tolerance=1e-8, max_nodes=3000,
+        )  # fmt: skip
+        if solution is None:
+            raise ValueError("the solver does not converge")
         if (solution.y[1] <= 0).any():
             raise ValueError("the membrane folds")
         return solution
@@ -123,12 +128,12 @@ class _Disc(BoundaryValueProblem):
 
 def indent_disc(
     force: float,
+    rim_radius: float,
     *,
     modulus: float,
-    radius: float,
     thickness: float,
     probe_half_width: float,
-    poisson_ratio: float = 0.5,
+    poisson_ratio: float,
     law: str = "neo-hooke",
     pressure: float | str = "balance",
     pretension: float = 0.0,
@@ -140,15 +145,16 @@ def indent_disc(
     ----------
     force : float
         Force F of the probe, in µN; positive.
+    rim_radius : float
+        Radius a of the rim under the force, in µm.
     modulus : float
         Elastic modulus E at small strain, in MPa.
-    radius : float
-        Radius a of the rim under the force, in µm.
     thickness : float
         Thickness h of the membrane free of stress, in µm.
     probe_half_width : float
-        Radius c of the probe's flat end, in µm, below `radius`. The membrane is bonded to it.
-    poisson_ratio : float, optional
+        Radius c of the probe's flat end, in µm, below `rim_radius`. The
+        membrane is bonded to it.
+    poisson_ratio : float
         ν, in (−1, 0.5] for ``"hooke"``, and 0.5 for the incompressible laws.
     law : {"neo-hooke", "hooke", "mooney-rivlin"}, optional
         Constitutive law, see Notes.
@@ -160,7 +166,7 @@ def indent_disc(
         this stretch.
     rim_inset : float, optional
         Fraction of its radius by which the rim has moved inwards since contact, in [0, 0.5].
-        `radius` is the radius after that.
+        `rim_radius` is the radius after that.
 
     Returns
     -------
@@ -215,26 +221,27 @@ def indent_disc(
     --------
     >>> from microlib.membrane import indent_disc
     >>> state = indent_disc(
-    ...     50.0, modulus=1.3, radius=250.0, thickness=3.0, probe_half_width=25.0
+    ...     50.0, 250.0, modulus=1.3, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
     ... )
     >>> print(f"{state.depth:.2f} µm")
     60.58 µm
     """
-    load, a = scalar("force", force, above=0), scalar("radius", radius, above=0)
+    load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
     stiffness, h = scalar("modulus", modulus, above=0), scalar("thickness", thickness, above=0)
     support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
     material = constitutive_law(law, poisson_ratio)
     free = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
     disc = free.of_modulus(stiffness)
     try:
-        [meridian] = disc.meridian(disc.solve_unfolded())
+        solution = disc.solve()
     except ValueError as reason:
         raise ValueError(
             f"force must be one that a disc holds, got {load:g} µN: {reason}"
         ) from None
-    depth = -meridian[1, 0]
+    curve = meridian(material, disc.segment(solution.x, solution.y, solution.p))
+    depth = -curve[1, 0]
     sizes = {"depth": depth, "approach": depth, "rim_radius": 1.0, "pressure": disc.pressure}
-    return dimensional_state(meridian, stiffness, h, a, **sizes)
+    return dimensional_state(curve, stiffness, h, a, **sizes)
 
 
 def disc_modulus(
@@ -244,7 +251,7 @@ def disc_modulus(
     *,
     thickness: float,
     probe_half_width: float,
-    poisson_ratio: float = 0.5,
+    poisson_ratio: float,
     law: str = "neo-hooke",
     pressure: float | str = "balance",
     pretension: float = 0.0,
@@ -286,7 +293,9 @@ def disc_modulus(
     Examples
     --------
     >>> from microlib.membrane import disc_modulus
-    >>> modulus = disc_modulus(50.0, 250.0, 60.58, thickness=3.0, probe_half_width=25.0)
+    >>> modulus = disc_modulus(
+    ...     50.0, 250.0, 60.58, thickness=3.0, probe_half_width=25.0, poisson_ratio=0.5
+    ... )
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
@@ -301,14 +310,14 @@ def disc_modulus(
     drum = 2 * np.pi * disc.law.equibiaxial_stress(disc.prestretch) * steepness / -np.log(zeta)
     start = disc.force / (np.pi / 3 * (steepness / (1 - zeta ** (2 / 3))) ** 3 + drum)
     try:
-        solution = replace(disc.of_modulus(start), depth=steepness).solve_unfolded()
+        solution = replace(disc.of_modulus(start), depth=steepness).solve()
     except ValueError as reason:
         raise ValueError(
             f"depth must be one that some modulus gives, got {target:g} µm: {reason}"
         ) from None
-    found = float(start / np.exp(solution.p[0]))
-    warn_if_implausible(found)
-    return found
+    modulus = float(start / np.exp(solution.p[0]))
+    warn_if_implausible(modulus)
+    return modulus
 
 
 def _dimensionless_disc(

@@ -6,7 +6,7 @@ Tensions are per radian around the axis.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -52,77 +52,44 @@ def segment(
     return Segment(rho, arc_rate, r, z, tension, horizontal / size, vertical / size, pressure)
 
 
-class BoundaryValueProblem(ABC):
-    """Equilibrium of a membrane over x in [0, 1], in the form of SciPy's `solve_bvp`."""
+def collocate(
+    right_hand_side: Callable[..., Array],
+    boundary_residual: Callable[..., Array],
+    guess: Guess,
+    *,
+    tolerance: float,
+    max_nodes: int,
+    jacobian: Callable[..., tuple[Array, Array]] | None = None,
+) -> Any:
+    """Return the solution of SciPy's `solve_bvp` over x in [0, 1], or None without convergence."""
+    with np.errstate(all="ignore"):
+        solution = solve_bvp(
+            right_hand_side, boundary_residual, *guess,
+            fun_jac=jacobian, tol=tolerance, max_nodes=max_nodes,
+        )  # fmt: skip
+    # NaN is above no tolerance, so that a solution of NaN has the status of a success.
+    converged = solution.status == 0 and np.isfinite(solution.rms_residuals).all()
+    return solution if converged else None
 
-    law: Law
-    tolerance: float
-    max_nodes: int
-    jacobian: Any = None  # of the right-hand side, where differences are too slow
 
-    @abstractmethod
-    def segments(self, x: Array, y: Array, k: Any) -> list[Segment]:
-        """Return the segments of the meridian of a state y and unknown parameters k."""
+def meridian_stretch(law: Law, part: Segment) -> tuple[Array, Array]:
+    """Return the stretch of the meridian and the nominal hoop stress."""
+    return law.invert_meridian_stress(part.tension / part.rho, part.r / part.rho)
 
-    @abstractmethod
-    def right_hand_side(self, x: Array, y: Array, k: Any = None) -> Array:
-        """Return dy/dx in equilibrium."""
 
-    @abstractmethod
-    def boundary_residual(self, left: Array, right: Array, k: Any = None) -> Array:
-        """Return the residual of the boundary conditions from y(0) and y(1)."""
+def equilibrium(law: Law, part: Segment) -> tuple[Array, Array, Array]:
+    """Return dr/dx, dz/dx and dH/dx: r' = λ₁H/A, z' = λ₁V/A, H' = N₂ − p r z'."""
+    first, hoop = meridian_stretch(law, part)
+    r_rate, z_rate = first * part.cosine, first * part.sine
+    horizontal_rate = hoop - part.pressure * part.r * z_rate
+    return r_rate * part.arc_rate, z_rate * part.arc_rate, horizontal_rate * part.arc_rate
 
-    @abstractmethod
-    def initial_guess(self) -> Guess:
-        """Return mesh, state and parameters from which the collocation starts."""
 
-    def solve_from(self, guess: Guess) -> tuple[Any, Any] | None:
-        """Return the problem and its solution from a guess, or None."""
-        solution = self.collocate(guess)
-        return None if solution is None else (self, solution)
-
-    def collocate(self, guess: Guess, tolerance: float | None = None) -> Any:
-        """Return SciPy's solution from a guess, or None."""
-        x, y, k = guess
-        limits = {"tol": tolerance or self.tolerance, "max_nodes": self.max_nodes}
-        with np.errstate(all="ignore"):
-            solution = solve_bvp(
-                self.right_hand_side, self.boundary_residual, x, y, k,
-                fun_jac=self.jacobian, **limits,
-            )  # fmt: skip
-        # NaN is above no tolerance, so that a solution of NaN has the status of a success.
-        converged = solution.status == 0 and np.isfinite(solution.rms_residuals).all()
-        return solution if converged else None
-
-    def solve(self) -> tuple[Any, Any]:
-        """Return the problem and its solution from the initial guess."""
-        found = self.solve_from(self.initial_guess())
-        if found is None:
-            raise ValueError("the solver does not converge")
-        return found
-
-    def meridian_stretch(self, segment: Segment) -> tuple[Array, Array]:
-        """Return the stretch of the meridian and the nominal hoop stress."""
-        return self.law.invert_meridian_stress(
-            segment.tension / segment.rho, segment.r / segment.rho
-        )
-
-    def equilibrium(self, segment: Segment) -> tuple[Array, Array, Array]:
-        """Return dr/dx, dz/dx and dH/dx: r' = λ₁H/A, z' = λ₁V/A, H' = N₂ − p r z'."""
-        first, hoop = self.meridian_stretch(segment)
-        r_rate, z_rate = first * segment.cosine, first * segment.sine
-        horizontal_rate = hoop - segment.pressure * segment.r * z_rate
-        rate = segment.arc_rate
-        return r_rate * rate, z_rate * rate, horizontal_rate * rate
-
-    def meridian(self, solution: Any) -> list[Array]:
-        """Return r, z, stretches and stresses at the nodes of each segment, (6, n) each."""
-        found = []
-        for part in self.segments(solution.x, solution.y, solution.p):
-            first, hoop = self.meridian_stretch(part)
-            stretches, along = (first, part.r / part.rho), part.tension / part.rho
-            found.append(np.array([part.r, part.z, *stretches, along, hoop]))
-        return found
+def meridian(law: Law, part: Segment) -> Array:
+    """Return r, z, both stretches and both stresses at the nodes of a segment, (6, n)."""
+    first, hoop = meridian_stretch(law, part)
+    stretches, along = (first, part.r / part.rho), part.tension / part.rho
+    return np.array([part.r, part.z, *stretches, along, hoop])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
