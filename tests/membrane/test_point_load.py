@@ -123,7 +123,7 @@ JOINT = [(0.7, 0.0), (0.0, 0.2), (0.7, 0.2), (0.7, -0.2)]
     "error", [*ERRORS, *({"rim_radius": a, "dimple_depth": w} for a, w in JOINT)]
 )
 @pytest.mark.parametrize("half_width", [25.0, 190.0])
-def test_modulus_std_matches_numerical_derivative(error, half_width) -> None:
+def test_modulus_uncertainty_matches_numerical_derivative(error, half_width) -> None:
     """Radius and depth are fully correlated: their covariance is singular."""
     values = VALUES | {"probe_half_width": half_width}
     step = 1e-5
@@ -140,7 +140,7 @@ def test_modulus_std_matches_numerical_derivative(error, half_width) -> None:
     assert modulus_uncertainty(values, **given) == pytest.approx(by_differences, rel=1e-6)
 
 
-def test_modulus_std_is_nan_for_unknown_covariance_and_known_for_zero_poisson_ratio() -> None:
+def test_modulus_uncertainty_is_nan_for_unknown_covariance_and_known_for_zero_poisson_ratio() -> None:
     assert np.isnan(modulus_uncertainty(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan)))
     cork, std = VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}
     assert modulus_uncertainty(cork, std) == pytest.approx(0.01 * float(elastic_modulus(**cork)))
