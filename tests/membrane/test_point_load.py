@@ -140,7 +140,9 @@ def test_modulus_uncertainty_matches_numerical_derivative(error, half_width) -> 
     assert modulus_uncertainty(values, **given) == pytest.approx(by_differences, rel=1e-6)
 
 
-def test_modulus_uncertainty_is_nan_for_unknown_covariance_and_known_for_zero_poisson_ratio() -> None:
+def test_modulus_uncertainty_is_nan_for_unknown_covariance_and_known_for_zero_poisson_ratio() -> (
+    None
+):
     assert np.isnan(modulus_uncertainty(VALUES, {}, dimple_covariance=np.full((2, 2), np.nan)))
     cork, std = VALUES | {"poisson_ratio": 0.0}, {"poisson_ratio": 0.01}
     assert modulus_uncertainty(cork, std) == pytest.approx(0.01 * float(elastic_modulus(**cork)))
