@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from microlib._common import Array, Tidy, as_image, luminance, one_of
 from microlib.embryo._probe import CLEARANCE, MARGIN, MIN_IMAGE, Probe, find_probe, remove_probe
-from microlib.embryo._view import DIRECTIONS, View
+from microlib.embryo._rotation import DIRECTIONS, Rotation
 from microlib.embryo._wall import locate_wall
 
 #: Least number of columns of the outline on each side of the probe; 10 to 40 change nothing.
@@ -39,8 +39,8 @@ class Boundary(Tidy):
     ----------
     x, y : ndarray, shape (n,)
         Outline from left to right, in px, y *up* from the last row of the image.
-    std : ndarray, shape (n,)
-        Standard deviation of each point across the outline, in px.
+    uncertainty : ndarray, shape (n,)
+        Standard deviation of the error of each point across the outline, in px.
     under_probe : ndarray of bool, shape (n,)
         Points at the end of the probe, where the probe hides the chorion.
     probe : Probe
@@ -49,30 +49,30 @@ class Boundary(Tidy):
         Standard deviation of the image's blur at the outline, in px.
     image_height : int
         Rows of the rotated image: y = image_height − 1 − row.
-    view : View
+    rotation : Rotation
         Rotation of the image, with the edge that the probe comes from as `direction`.
     """
 
-    _large = ("x", "y", "std", "under_probe")
+    _large = ("x", "y", "uncertainty", "under_probe")
 
     x: Array
     y: Array
-    std: Array
+    uncertainty: Array
     under_probe: NDArray[np.bool_]
     probe: Probe
     blur: float
     image_height: int
-    view: View
+    rotation: Rotation
 
     @property
     def points(self) -> Array:
         """Points (x, y) of the outline in the image, y down, in px; shape (n, 2)."""
-        return self.view.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
+        return self.rotation.to_image(np.stack([self.x, self.image_height - 1 - self.y], axis=1))
 
     def without_probe(self, image: ArrayLike) -> NDArray[np.float32]:
-        """Return the image rotated by `view`, with the probe replaced by the ground beside it."""
+        """Return the rotated image with the probe replaced by the ground beside it."""
         grey = as_image("image", luminance("image", image), smallest=MIN_IMAGE)
-        return remove_probe(self.view.rotate(grey), self.probe)
+        return remove_probe(self.rotation.apply(grey), self.probe)
 
 
 def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool = True) -> Boundary:
@@ -92,8 +92,8 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     Returns
     -------
     Boundary
-        The outline `x`, `y` with its standard deviation `std`, about one point per px of its
-        length, and the same outline as `points` of the image; the `probe` and the `view`.
+        The outline `x`, `y` with its `uncertainty`, about one point per px of its length, and the
+        same outline as `points` of the image; the `probe` and the `rotation`.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
        *middle* of the chorion. Samples within the blur of the probe are not used.
     4. Under the probe, the outline is the end of the probe.
 
-    The standard deviation covers the noise of the profiles. A wall that is darker outside than
+    The uncertainty covers the noise of the profiles. A wall that is darker outside than
     inside shifts all points alike, by about 0.02 px. An image blurred by more than about 2.7 px
     must be reduced first, for example to half of its size, with twice the `pixel_size`.
 
@@ -136,7 +136,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     reasons: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _extract_from_above(whole, View(whole.shape[::-1], edge), dimple)
+            return _extract_from_above(whole, Rotation(whole.shape[::-1], edge), dimple)
         except ValueError as reason:
             reasons.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -144,32 +144,33 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     )
 
 
-def _extract_from_above(whole: NDArray[np.float32], view: View, dimple: bool) -> Boundary:
+def _extract_from_above(whole: NDArray[np.float32], rotation: Rotation, dimple: bool) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
-    grey, probe, view = find_probe(whole, view)
-    traced, blur = _trace_outline(remove_probe(grey, probe), probe)
-    sides = [_resample(side) for side in traced]
+    grey, probe, rotation = find_probe(whole, rotation)
+    edges, blur = _trace_outline(remove_probe(grey, probe), probe)
+    sides = [_resample(side, _spacing(blur)) for side in edges]
     if dimple:
         _check_dimple(sides, probe)
-    sides, blur = _refine_on_wall(grey, sides, probe, blur)
-    sides, blur = _refine_on_wall(grey, sides, probe, blur)
+    spline = spline_filter(grey, 3)
+    for _ in range(2):
+        sides, blur = _refine_on_wall(spline, sides, probe, blur)
 
     reach = int(probe.half_width)
     hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
-    # The standard deviation of points under the probe is a nominal half pixel: they are not fitted.
+    # The uncertainty of points under the probe is a nominal half pixel: they are not fitted.
     tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
-    x, y, std = np.concatenate([*sides, tip], axis=1)
+    x, y, uncertainty = np.concatenate([*sides, tip], axis=1)
     under = np.arange(x.size) >= x.size - hidden.size
     order = np.argsort(x, kind="stable")
     return Boundary(
         x=x[order],
         y=len(grey) - 1 - y[order],
-        std=std[order],
+        uncertainty=uncertainty[order],
         under_probe=under[order],
         probe=probe,
         blur=blur,
         image_height=len(grey),
-        view=view,
+        rotation=rotation,
     )
 
 
@@ -238,55 +239,59 @@ def _canny(filled: NDArray[np.float32], scale: int) -> NDArray[np.bool_]:
     return (labels > 0) & (stats[:, cv2.CC_STAT_AREA] >= 2 * MIN_SIDE)[labels]
 
 
-def _resample(curve: Array) -> Array:
-    """Return points at equal distances of about one px along a curve."""
+def _spacing(blur: float) -> int:
+    """Return the distance of the points of an outline, px, for an image with this blur."""
+    return 2 if 3 * blur > 5 else 1
+
+
+def _resample(curve: Array, spacing: int) -> Array:
+    """Return points at equal distances of about `spacing` px along a curve."""
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve[:2])))])
-    even = np.linspace(0.0, length[-1], max(int(length[-1]) + 1, _SMOOTHING))
+    even = np.linspace(0.0, length[-1], max(int(length[-1] / spacing) + 1, _SMOOTHING))
     return np.stack([np.interp(even, length, row) for row in curve[:2]])
 
 
 def _refine_on_wall(
-    grey: NDArray[np.float32], sides: list[Array], probe: Probe, blur: float
+    spline: NDArray, sides: list[Array], probe: Probe, blur: float
 ) -> tuple[list[Array], float]:
-    """Move the curves to the middle of the wall: return x, y, std of each side, and the blur.
+    """Move the curves to the middle of the wall: return x, y, uncertainty of each, and the blur.
 
-    `blur` is that of the image, as known before.
+    `spline` contains the coefficients of the image, and `blur` is its blur as known before.
     """
     from scipy.signal import savgol_filter  # here, because it takes long to import
 
     # Profiles run from outside to inside, with two samples per px: the blurred wall, the error of
-    # Canny's edge, and ground and fluid beyond. A broad blur has profiles of twice the length at
-    # every second point.
-    scale = 2 if 3 * blur > 5 else 1
+    # Canny's edge, and ground and fluid beyond. For a broad blur they have twice the length.
+    scale = _spacing(blur)
     offsets = scale * np.linspace(-5, 5, 21)
-    sides = [side[:, ::scale] for side in sides]
     smooth = [savgol_filter(side[:2], _SMOOTHING, 2, axis=1) for side in sides]
     tangent = [savgol_filter(side[:2], _SMOOTHING, 2, deriv=1, axis=1) for side in sides]
     start, along = np.concatenate(smooth, axis=1), np.concatenate(tangent, axis=1)
     # Both sides run from left to right: rotated clockwise on the screen, the tangent points inside.
     normal = np.stack([-along[1], along[0]]) / np.hypot(*along)
     x, y = start[:, :, np.newaxis] + normal[:, :, np.newaxis] * offsets
-    profiles = map_coordinates(
-        spline_filter(grey, 3), [y, x], order=3, mode="nearest", prefilter=False
-    )
+    profiles = map_coordinates(spline, [y, x], order=3, mode="nearest", prefilter=False)
     # Samples within three standard deviations of the probe's blur are not used: two bias the flank,
     # and more remove its steepest part.
     clearance = max(CLEARANCE, 3 * blur)
     beside = np.abs(x - probe.axis(y)) > probe.half_width_at(y) + clearance
     clear = beside | (y > probe.tip[1] + clearance + MARGIN)
     wall = locate_wall(profiles, offsets / scale, weights=clear, pixel=1 / scale)
+    if _spacing(scale * wall.blur) > scale:
+        coarse = [_resample(side, 2) for side in sides]
+        return _refine_on_wall(spline, coarse, probe, wall.blur)
     points = start + normal * scale * wall.position
-    good = np.isfinite(wall.position) & (wall.std < 6 * np.nanmedian(wall.std))
+    good = wall.uncertainty < 6 * np.nanmedian(wall.uncertainty)  # False for NaN
     on_left = np.arange(good.size) < smooth[0].shape[1]
-    measured = np.vstack([points, scale * wall.std])
-    found = [measured[:, good & on_left], measured[:, good & ~on_left]]
-    for name, side in zip(("left", "right"), found, strict=True):
+    measured = np.vstack([points, scale * wall.uncertainty])
+    refined = [measured[:, good & on_left], measured[:, good & ~on_left]]
+    for name, side in zip(("left", "right"), refined, strict=True):
         if side.shape[1] < MIN_SIDE:
             raise ValueError(
                 f"image must show a wall along the outline, got {side.shape[1]} points of it on "
                 f"the {name} of the probe"
             )
-    return found, scale * wall.blur
+    return refined, scale * wall.blur
 
 
 def _check_dimple(sides: list[Array], probe: Probe) -> None:

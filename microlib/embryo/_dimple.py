@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, inverse_normal, one_of, scalar
+from microlib._common import Array, Tidy, as_array, inverse_normal, one_of, robust_std, scalar
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
-from microlib.embryo._probe import MAD_TO_STD
 from microlib.membrane import dimple_profile
 
 #: Radii up to which the outline is fitted. The outline beyond the rim determines the rim, but it is
@@ -251,7 +250,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     size = scalar("pixel_size", pixel_size, above=0)
     c = scalar("probe_half_width", probe_half_width, above=0) / size
     check_probe_width(boundary, c, size)
-    outline = np.stack([boundary.x, boundary.y, boundary.std])[:, ~boundary.under_probe]
+    outline = np.stack([boundary.x, boundary.y, boundary.uncertainty])[:, ~boundary.under_probe]
     start = _initial_dimple(outline[0], outline[1], boundary)
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
     first, _ = _fit(_near(outline, start), start, c)
@@ -259,7 +258,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     distance = np.abs(_normal_distance(first, near[0], near[1], c) / near[2])
     # One of 16 000 normal errors is beyond four standard deviations; 3 to 6 change E by up to 0.4
     # of its standard deviation. A point within its own standard deviation is no outlier.
-    inlier = distance < max(4 * MAD_TO_STD * np.median(distance), 1.0)
+    inlier = distance < max(4 * robust_std(distance), 1.0)
     # More than a quarter of the points are not outliers but an outline of another shape.
     kept = near[:, inlier] if inlier.mean() >= 3 / 4 else near
     found, result = _fit(kept, first, c)
@@ -337,12 +336,12 @@ def _initial_dimple(x: NDArray, y: NDArray, boundary: Boundary) -> _Dimple:
 
 
 def _near(outline: Array, dimple: _Dimple) -> Array:
-    """Return the rows x, y, std of an outline out to just beyond the rim."""
+    """Return the rows x, y, uncertainty of an outline out to just beyond the rim."""
     return outline[:, np.abs(outline[0] - dimple.x) < _BEYOND_RIM * dimple.radius]
 
 
 def _fit(outline: Array, start: _Dimple, c: float) -> tuple[_Dimple, OptimizeResult]:
-    """Fit a dimple to the rows x, y, std of an outline by least squares."""
+    """Fit a dimple to the rows x, y, uncertainty of an outline by least squares."""
     x, y, std = outline
     # The tilt, in radians, is limited to four times that of a probe; 0.1 to 0.6 change nothing.
     far, tilt, sharpest = np.inf, 1 / 4, 1 / start.radius

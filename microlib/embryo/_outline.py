@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, Array, Tidy, as_array, same_length, scalar
+from microlib._common import MICROMETERS, Array, Tidy, as_array, robust_std, same_length, scalar
 from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
-from microlib.embryo._probe import MAD_TO_STD
 
 #: Spans of LOESS whose dimples are compared. The middle one is that of the thesis. A smaller span
 #: follows the corners at the bottom of a dimple and the noise more closely.
@@ -215,7 +214,7 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     curves = [fit_gaussians(across, each) for each in smooth]
     # Clipped at the corners of the bottom, where the bias of a smooth curve exceeds the noise.
     residuals = up - smooth[0]
-    limit = 3 * MAD_TO_STD * float(np.median(np.abs(residuals)))
+    limit = 3 * robust_std(residuals)
     residuals = np.clip(residuals, -limit, limit)
     # A parabola fitted to k points of variance 1 with tricube weights, up to the distance h, has
     # the variance 2.85/k of its value and 6.9/(k h²) of its slope in the middle. The error of the
@@ -258,8 +257,8 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
     others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
-    rough = np.median(np.abs(up - loess(across, up, span=SPANS[1])))
-    other = max(*others, 2 * MAD_TO_STD * float(rough))
+    rough = robust_std(up - loess(across, up, span=SPANS[1]))
+    other = max(*others, 2 * rough)
     if dip.depth <= 2 * other:
         raise ValueError(
             f"y must show one dimple, got one of {dip.depth:.2g} px beside others of "

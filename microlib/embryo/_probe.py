@@ -7,7 +7,9 @@ jumps. The image of a leaning probe is rotated so that the probe is vertical.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,8 +17,21 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter
 
-from microlib._common import Array, Tidy, as_array
-from microlib.embryo._view import View
+from microlib._common import Array, Tidy, as_array, robust_std
+from microlib.embryo._rotation import Rotation
+
+# The grey levels that separate the probe from what is beside it are stated here alone. Each is a
+# mixture of two grey levels that are measured in the same image.
+
+#: A run of pixels at the upper edge of the image belongs to a probe if it is darker than this
+#: fraction of the ground. The blur, px, keeps noise from interrupting the probe's sides. The second
+#: pair finds the walls of a glass tube in a coarse image, which are one px wide.
+_BLUR_AND_DARKNESS = ((1.0, 0.75), (0.5, 0.85))
+#: Level that ends the probe sideways in each row, from that of the probe (0) to that of the ground
+#: (1). The fluid of the embryo is darker than the ground, so that the level is below the middle.
+_SIDE_LEVEL = 1 / 3
+#: Level at which an edge is located to a fraction of a pixel: a blur does not move the middle.
+_EDGE_LEVEL = 1 / 2
 
 # Lengths are in px. Half or twice an unnamed number changes E of nine embryos by less than 2 %.
 
@@ -31,10 +46,8 @@ _WIDEST = 0.1
 _UPPER_PART = 0.7
 #: Margin beside a blurred edge; 0 to 5 change E by up to 0.2 of its standard deviation.
 MARGIN = 2
-#: Step of the profiles across the probe's edges.
-_STEP = 0.25
-#: Median absolute deviation to standard deviation, of the normal distribution.
-MAD_TO_STD = 1.4826
+#: Interval of the profiles across the probe's edges.
+_INTERVAL = 0.25
 #: Largest tilt by which an image is rotated.
 _MAX_TILT = np.deg2rad(62.0)
 #: Margin beside the probe for its blur.
@@ -72,51 +85,63 @@ class Probe(Tidy):
         return self.half_width + self.taper * above
 
 
-def find_probe(whole: NDArray[np.float32], view: View) -> tuple[NDArray[np.float32], Probe, View]:
-    """Return the image rotated so that the probe is vertical, the probe, and the rotation."""
+class UprightImage(NamedTuple):
+    """An image in which the probe comes from above, from `find_probe`."""
+
+    grey: NDArray[np.float32]
+    probe: Probe
+    rotation: Rotation  # from the original image
+
+
+def find_probe(whole: NDArray[np.float32], rotation: Rotation) -> UprightImage:
+    """Find the probe in an image rotated as given, or rotated further by the tilt of the probe."""
     reasons: list[str] = []
-    # The blur keeps noise from interrupting the probe's sides. Less blur and a higher threshold
-    # find the walls of a glass tube in a coarse image, which are one px wide.
-    for blur, dark in ((1, 3 / 4), (0.5, 0.85)):
-        views = [view]
-        for each in views:
-            if each.tilt and min(each.frame[2:]) < MIN_IMAGE:
-                reasons.append("image must show the probe's end, got its shaft alone")
-                continue
-            grey = np.ascontiguousarray(each.rotate(whole))
-            smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), blur), dtype=np.float32)
+    for blur, darkness in _BLUR_AND_DARKNESS:
+        for candidate in _rotations(whole, rotation, blur, darkness):
+            grey = np.ascontiguousarray(candidate.apply(whole))
             try:
-                return grey, _measure(smooth, dark), each
+                probe = _measure(_smoothed(grey, blur), darkness)
             except ValueError as reason:
                 reasons.append(str(reason))
-            if each is view:
-                views += _tilted_views(smooth, view, dark)
-    raise ValueError(reasons[0])
+            else:
+                return UprightImage(grey, probe, candidate)
+    raise ValueError(reasons[0])  # of the image as given, which is tried first
 
 
-def _runs(
-    smooth: NDArray[np.float32], rows: int, dark: float, widest: int, mode: str
-) -> tuple[Array, Array, NDArray]:
-    """Return the mean of the first rows, its background, and both ends of each darker run."""
+def _smoothed(grey: NDArray[np.float32], blur: float) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), blur), dtype=np.float32)
+
+
+class _Runs(NamedTuple):
+    """Dark runs of pixels at the upper edge of an image."""
+
+    top: Array  # mean of the first rows
+    ground: Array  # the same without the runs
+    ends: NDArray  # first pixel of each run and the one behind its last, shape (n, 2)
+
+
+def _runs(smooth: NDArray[np.float32], rows: int, darkness: float, widest: int, mode: str) -> _Runs:
     top = smooth[:rows].mean(axis=0)
     ground = median_filter(top, 4 * widest + 1, mode=mode)  # four times as wide as a bar
-    below = np.concatenate([[0], (top < dark * ground).view(np.int8), [0]])
-    return top, ground, np.flatnonzero(np.diff(below)).reshape(-1, 2)
+    dark = np.concatenate([[0], (top < darkness * ground).view(np.int8), [0]])
+    return _Runs(top, ground, np.flatnonzero(np.diff(dark)).reshape(-1, 2))
 
 
-def _follow(smooth: NDArray[np.float32], left: int, right: int, limit: float) -> NDArray:
+def _follow(smooth: NDArray[np.float32], run: NDArray, level: float, ground: Array) -> NDArray:
     """Return both ends of a dark run, or of the walls of a tube, in each row until the run ends.
 
     The ends of a leaning run move by up to 1.9 px from row to row. Below the end of a probe the run
     extends over the embryo.
     """
+    left, right = run.tolist()
+    limit = level + _SIDE_LEVEL * (float(ground[left:right].mean()) - level)
     ends = []
     for row in smooth:
         first, last = max(left - 3, 0), min(right + 3, row.size)
-        below = np.flatnonzero(row[first:last] < limit)
-        if below.size == 0:
+        dark = np.flatnonzero(row[first:last] < limit)
+        if dark.size == 0:
             break
-        left, right = first + int(below[0]), first + int(below[-1]) + 1
+        left, right = first + int(dark[0]), first + int(dark[-1]) + 1
         ends.append((left, right))
     return np.array(ends, dtype=int).reshape(-1, 2)
 
@@ -136,21 +161,24 @@ def _end_row(width: NDArray) -> int:
     return int(np.append(jumps, True).argmax())
 
 
-def _tilted_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[View]:
-    """Return the views in which the longest bar that enters at the upper edge is vertical.
+def _rotations(
+    whole: NDArray[np.float32], rotation: Rotation, blur: float, darkness: float
+) -> Iterator[Rotation]:
+    """Yield the given rotation, then those after which the longest leaning bar is vertical.
 
-    The views begin where the bar is in the image with its whole width, which is below the upper
-    edge for a bar that enters through a corner. The first view of a thin bar assumes that it is the
-    wall of a tube.
+    The rotated image begins where the bar is in the image with its whole width, which is below the
+    upper edge for a bar that enters through a corner. The first rotation for a thin bar assumes
+    that the bar is the wall of a tube.
     """
+    yield rotation
+    smooth = _smoothed(np.ascontiguousarray(rotation.apply(whole)), blur)
     columns = smooth.shape[1]
     widest = int(_WIDEST * columns / np.cos(_MAX_TILT))
     # The mode "nearest" would continue a bar in the corner as dark ground.
-    top, ground, runs = _runs(smooth, 3, dark, widest, "reflect")
-    found = []
-    for left, right in runs:
-        limit = float((top[left:right].min() + ground[left:right].mean()) / 2)
-        ends = _follow(smooth, int(left), int(right), limit)
+    runs = _runs(smooth, 3, darkness, widest, "reflect")
+    bars = []
+    for run in runs.ends:
+        ends = _follow(smooth, run, float(runs.top[slice(*run)].min()), runs.ground)
         # The side of the image cuts a bar in the corner, whose width grows over the first rows.
         cut = (ends[:, 0] == 0) | (ends[:, 1] == columns)
         row = int(np.append(cut, False).argmin())
@@ -159,10 +187,10 @@ def _tilted_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
         if rows.size > _TOP_ROWS and 2 <= width[0] <= widest:
             slope, start = _robust_line(rows, (ends[rows].sum(axis=1) - 1) / 2)
             if abs(slope) < np.tan(_MAX_TILT):
-                found.append((rows.size, slope, start, float(width[0]) / 2))
-    if not found:
-        return []
-    _, slope, start, half = max(found)
+                bars.append((rows.size, slope, start, float(width[0]) / 2))
+    if not bars:
+        return
+    _, slope, start, half = max(bars)
     sides = start + np.array([-half, half])
     # A bar that enters through a side of the image does so below the upper edge.
     inside = np.clip(sides, 0.0, columns - 1.0)
@@ -170,20 +198,23 @@ def _tilted_views(smooth: NDArray[np.float32], view: View, dark: float) -> list[
     bar = np.stack([inside, below], axis=1)
     entries = [bar]
     if half < 8:
-        # The other wall of a tube may be on either side of this one. A view that contains both may
-        # be too short for a short bar.
+        # The other wall of a tube may be on either side of this one. An image that contains both
+        # may be too short for a short bar.
         tube = np.stack([sides + np.array([-widest, widest]), np.zeros(2)], axis=1)
         entries = [np.concatenate([tube, bar]), bar]
-    return [view.upright(slope, entry) for entry in entries]
+    for entry in entries:
+        upright = rotation.upright(slope, entry)
+        if min(upright.frame[2:]) >= MIN_IMAGE:
+            yield upright
 
 
-def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
+def _measure(grey: NDArray[np.float32], darkness: float) -> Probe:
     """Return the bar or tube that enters a blurred image through its upper edge.
 
     Its edges are found to a fraction of a pixel. Its upper part gives direction and width, because
     the embryo is beside its end.
     """
-    ends, bar, glass = _entering(grey, dark)
+    ends, level, is_tube = _entering(grey, darkness)
     width = np.ptp(ends, axis=1)
     end = _end_row(width)
     if end < 2 * _TOP_ROWS or end >= len(grey) - 4:
@@ -192,25 +223,20 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
             f"{len(grey)}"
         )
     columns = np.arange(grey.shape[1])
-    if glass:
+    if is_tube:
         # The end of a glass tube is as dark as the chorion below it, so that the tube is filled
         # down to where both walls end.
         within = (columns >= ends[:, :1]) & (columns < ends[:, 1:])
         grey = grey.copy()
-        np.minimum(grey[: len(ends)], bar, out=grey[: len(ends)], where=within)
+        np.minimum(grey[: len(ends)], level, out=grey[: len(ends)], where=within)
     rows = np.arange(2, int(_UPPER_PART * end))
     usual = np.median(width[:_TOP_ROWS])
     sides = []
     for row in rows:
         across = width[row] if abs(width[row] - usual) > MARGIN else usual
-        distance, middle = np.arange(0.0, across / 2 + 4, _STEP), (ends[row].sum() - 1) / 2
-        left, right = (np.interp(middle + way * distance, columns, grey[row]) for way in (-1, 1))
-        sides.append(
-            (
-                middle - _half_level_crossing(left, bar, 4),
-                middle + _half_level_crossing(right, bar, 4),
-            )
-        )
+        distance, middle = np.arange(0.0, across / 2 + 4, _INTERVAL), (ends[row].sum() - 1) / 2
+        left, right = (np.interp(middle + sign * distance, columns, grey[row]) for sign in (-1, 1))
+        sides.append((middle - _edge(left, level, 4), middle + _edge(right, level, 4)))
     slopes, starts = np.transpose([_robust_line(rows, side) for side in np.transpose(sides)])
     slope, start = float(slopes.mean()), float(starts.mean())
     # The model has its load along the axis. Outlines are found up to four times this tilt
@@ -224,44 +250,50 @@ def _measure(grey: NDArray[np.float32], dark: float) -> Probe:
     tapered = abs(narrowing) * rows.size > MARGIN
     half_width = float(starts[1] - starts[0] + narrowing * (end if tapered else rows.mean())) / 2
     upper = Probe((start, 0.0), slope, half_width)
-    tip = _tip_row(grey, upper, end, bar)
+    tip = _tip_row(grey, upper, end, level)
     taper = narrowing / 2 if tapered else 0.0
     return Probe((float(upper.axis(tip)), tip), slope, half_width / np.hypot(1.0, slope), taper)
 
 
-def _entering(grey: NDArray[np.float32], dark: float) -> tuple[NDArray, float, bool]:
-    """Return both ends of the entering bar or tube in each row, its grey level, and if glass."""
+class _Entering(NamedTuple):
+    """The bar or tube that enters an image through its upper edge."""
+
+    ends: NDArray  # first pixel of each row and the one behind the last, shape (n, 2)
+    level: float  # grey level of the bar or of the tube's walls
+    is_tube: bool
+
+
+def _entering(grey: NDArray[np.float32], darkness: float) -> _Entering:
     widest = int(_WIDEST * grey.shape[1])
-    top, ground, runs = _runs(grey, _TOP_ROWS, dark, widest, "nearest")
-    width = np.ptp(runs, axis=1)
-    bars = runs[(width >= 4) & (width <= widest)]
+    runs = _runs(grey, _TOP_ROWS, darkness, widest, "nearest")
+    width = np.ptp(runs.ends, axis=1)
+    bars = runs.ends[(width >= 4) & (width <= widest)]
     # Two runs are the walls of a tube if they are thin and of similar width. A blur of 1 px makes a
     # thin wall at least 2 px wide.
-    tubes = np.stack([runs[:-1, 0], runs[1:, 1]], axis=1)
+    tubes = np.stack([runs.ends[:-1, 0], runs.ends[1:, 1]], axis=1)
     across = np.ptp(tubes, axis=1)
     thin, thick = np.minimum(width[:-1], width[1:]), np.maximum(width[:-1], width[1:])
     tubes = tubes[(thin >= 2) & (thick <= 2 * thin) & (thick <= across / 3) & (across <= widest)]
-    glass = len(tubes) == 1 and bool(np.all((bars >= tubes[0, 0]) & (bars <= tubes[0, 1])))
-    if not glass and len(bars) != 1:
+    is_tube = len(tubes) == 1 and bool(np.all((bars >= tubes[0, 0]) & (bars <= tubes[0, 1])))
+    if not is_tube and len(bars) != 1:
         raise ValueError(
             "image must show one dark probe that enters through its upper edge, "
             f"got {len(bars)} bars of 4 to {widest} px there"
         )
-    left, right = (tubes if glass else bars)[0].tolist()
-    bar = float(top[left:right].min() if glass else top[(left + right) // 2])
-    # A threshold of one third between bar and ground, below the grey level of the embryo's fluid.
-    return _follow(grey, left, right, bar + (ground[left:right].mean() - bar) / 3), bar, glass
+    run = (tubes if is_tube else bars)[0]
+    level = float(runs.top[slice(*run)].min() if is_tube else runs.top[run.sum() // 2])
+    return _Entering(_follow(grey, run, level, runs.ground), level, is_tube)
 
 
-def _half_level_crossing(profile: Array, bar: float, ground: int) -> float:
-    """Return where a profile crosses the mean of bar and ground, in px, or NaN if it begins above.
+def _edge(profile: Array, level: float, ground: int) -> float:
+    """Return where a profile changes from the probe's level to the ground, in px, or NaN.
 
     The grey level of the ground is the mean of the last `ground` samples.
     """
-    half = (bar + profile[-ground:].mean()) / 2
-    k = int((profile > half).argmax())
-    beyond = (half - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
-    return _STEP * float(k - 1 + beyond)
+    limit = level + _EDGE_LEVEL * (profile[-ground:].mean() - level)
+    k = int((profile > limit).argmax())
+    beyond = (limit - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
+    return _INTERVAL * float(k - 1 + beyond)
 
 
 def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
@@ -275,19 +307,19 @@ def _robust_line(x: NDArray, y: NDArray) -> tuple[float, float]:
     for _ in range(2):
         slope, start = np.polyfit(x[use], y[use], 1)
         off = np.abs(y - start - slope * x)
-        use = off <= 3 * MAD_TO_STD * np.median(off[use]) + np.finfo(np.float32).eps
+        use = off <= 3 * robust_std(off[use]) + np.finfo(np.float32).eps
     return float(slope), float(start)
 
 
-def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, bar: float) -> float:
+def _tip_row(grey: NDArray[np.float32], upper: Probe, end: int, level: float) -> float:
     """Return the row where the middle of the probe changes to the grey level of the embryo."""
     reach = _TOP_ROWS // 2
-    y = np.arange(end - reach, min(end + reach + 1, len(grey) - 1.0), _STEP)
+    y = np.arange(end - reach, min(end + reach + 1, len(grey) - 1.0), _INTERVAL)
     across = np.linspace(-0.5, 0.5, 4) * upper.half_width
     x = upper.axis(y)[:, np.newaxis] + across
     where = np.stack([np.broadcast_to(y[:, np.newaxis], x.shape), x])
     profile = map_coordinates(grey, where, order=1, mode="nearest").mean(axis=1)
-    tip = float(y[0] + _half_level_crossing(profile, bar, round(3 / _STEP)))
+    tip = float(y[0] + _edge(profile, level, round(3 / _INTERVAL)))
     if np.isnan(tip):
         raise ValueError("image must show the probe's end against brighter pixels, got none")
     return tip

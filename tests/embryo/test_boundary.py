@@ -89,13 +89,13 @@ def test_straight_probe_and_wall_are_measured_exactly(bar, mirrored):
     image, end, beyond_wall = bar_before_wall(*bar)
     _, slope, _, half, (rows, columns) = bar
     found = extract_boundary(image[:, ::-1] if mirrored else image, direction="top", dimple=False)
-    tip, points = found.view.to_image(np.array([found.probe.tip])), found.points
+    tip, points = found.rotation.to_image(np.array([found.probe.tip])), found.points
     if mirrored:
         tip, points = ([columns - 1.0, 0.0] + each * [-1, 1] for each in (tip, points))
     # Edges are found to some hundredths of a px.
     np.testing.assert_allclose(tip[0], end, atol=0.1)
     assert found.probe.half_width == pytest.approx(half, abs=0.03)
-    turned = found.view.tilt + np.arctan(found.probe.slope)
+    turned = found.rotation.tilt + np.arctan(found.probe.slope)
     assert turned == pytest.approx((-1 if mirrored else 1) * np.arctan(slope), abs=2e-3)
     assert not found.under_probe.any()
     # Leave out the border that rotating the image fills in.
@@ -104,7 +104,9 @@ def test_straight_probe_and_wall_are_measured_exactly(bar, mirrored):
     np.testing.assert_allclose(beyond_wall(points[inside]), 0.0, atol=0.05)
 
 
-@pytest.mark.parametrize(("blur", "step"), [(0.7, -60.0), (1.1, 60.0), (1.8, -60.0), (2.5, -20.0)])
+@pytest.mark.parametrize(
+    ("blur", "step"), [(0.7, -60.0), (1.1, 60.0), (1.8, -60.0), (2.5, -20.0), (2.7, 20.0)]
+)
 def test_wall_of_any_blur_and_contrast_is_found_up_to_sides_of_image(blur, step):
     image, _, beyond_wall = bar_before_wall(*BARS[-1], blur=blur, step=step)
     found = extract_boundary(image, direction="top", dimple=False)
@@ -122,7 +124,7 @@ def test_std_of_points_matches_scatter_in_noise():
     scatter = np.std(beyond_wall(found.points))
     # Resampling lowers the residuals, and thus the std, by a tenth; 1300 points determine their
     # scatter to 2 %.
-    assert found.std.mean() == pytest.approx(scatter, rel=0.2)
+    assert found.uncertainty.mean() == pytest.approx(scatter, rel=0.2)
 
 
 def test_outline_and_std_match_rendered_outline(scene, boundary):
@@ -133,7 +135,7 @@ def test_outline_and_std_match_rendered_outline(scene, boundary):
     assert abs(off.mean()) < 0.04
     assert off.std() < 0.09
     assert np.abs(off).max() < 0.4
-    assert boundary.std[~boundary.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
+    assert boundary.uncertainty[~boundary.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
     assert (np.diff(boundary.x) >= 0).all()
     # The outline reaches from near the probe to well beyond both rims.
     radius = scene.embryo.rim_radius / scene.pixel_size
@@ -171,7 +173,7 @@ def test_outline_follows_rotation_of_image(scene, boundary, edge, turns):
     turned = np.rot90(scene.image, turns)
     for direction in (edge, "auto"):
         found = extract_boundary(turned, direction=direction)
-        assert found.view.direction == edge
+        assert found.rotation.direction == edge
         points = before_turning(found.points, scene.image.shape, turns)
         np.testing.assert_allclose(points, boundary.points, atol=1e-6)
     np.testing.assert_array_equal(found.without_probe(turned), boundary.without_probe(scene.image))
@@ -201,7 +203,7 @@ def test_outline_is_right_under_leaning_probe(degrees, edge, turns):
     leaning = render(**place)
     image = np.rot90(leaning.image, turns)
     found = extract_boundary(image, direction=edge)
-    assert np.rad2deg(found.view.tilt) == pytest.approx(-degrees, abs=2.0)
+    assert np.rad2deg(found.rotation.tilt) == pytest.approx(-degrees, abs=2.0)
     assert abs(found.probe.slope) < np.tan(np.deg2rad(2.0))
     points = before_turning(found.points, leaning.image.shape, turns)
     off = distances(leaning, points[~found.under_probe])
@@ -211,11 +213,11 @@ def test_outline_is_right_under_leaning_probe(degrees, edge, turns):
     assert np.abs(off).max() < 0.6
     assert (found.points >= -0.5).all()
     # Where the probe was, the filled image is like one rendered without a probe.
-    filled, before = found.without_probe(image), found.view.rotate(np.float32(image))
+    filled, before = found.without_probe(image), found.rotation.apply(np.float32(image))
     changed = np.abs(filled - before) > 30
     assert changed.sum() > 100 * 11
     bare = np.rot90(render(**place, probe=False, noise=0.0).image, turns)
-    plain = found.view.rotate(np.float32(bare))
+    plain = found.rotation.apply(np.float32(bare))
     assert np.abs(filled - plain)[changed][:500].mean() < 6
 
 
@@ -248,8 +250,8 @@ def test_outline_and_std_are_right_on_blurred_image(edge: str, turns: int) -> No
     off = distances(soft, points[~found.under_probe])
     assert abs(off.mean()) < 0.15  # 0.3 µm, twice what the sharp image is allowed
     assert np.abs(off).max() < 1.5
-    assert found.std[~found.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
-    tip = found.view.to_image(np.array([found.probe.tip]))[0]
+    assert found.uncertainty[~found.under_probe].mean() == pytest.approx(off.std(), rel=0.2)
+    tip = found.rotation.to_image(np.array([found.probe.tip]))[0]
     under = found.points[found.under_probe]
     np.testing.assert_allclose(under[len(under) // 2], tip, atol=1.0)
     # Blur makes the half-width about 0.9 px too small; one (1.94 µm) is allowed.

@@ -48,7 +48,7 @@ def outline(
         extracted,
         x=cos * x - sin * y + CENTER[0],
         y=sin * x + cos * y + CENTER[1],
-        std=np.full(x.size, max(noise, 0.01)),
+        uncertainty=np.full(x.size, max(noise, 0.01)),
         under_probe=np.zeros(x.size, dtype=bool),
         probe=probe,
         image_height=ROWS,

@@ -122,8 +122,8 @@ LAWS = {
     "embryo.extract_boundary": Row(
         lambda u: {"image": EGG * (0.6 * u.grey), "direction": "top"},
         {
-            **dict.fromkeys(("x", "y", "std", "blur", "points"), NUMBER),
-            **dict.fromkeys(("under_probe", "image_height", "view"), SAME),
+            **dict.fromkeys(("x", "y", "uncertainty", "blur", "points"), NUMBER),
+            **dict.fromkeys(("under_probe", "image_height", "rotation"), SAME),
             "probe": dict.fromkeys(("tip", "slope", "half_width", "taper"), NUMBER),
         },
         within=1e-4,  # grey levels in single precision

@@ -26,7 +26,7 @@ def test_position_and_std_match_curve_fit_on_noisy_profiles():
         fit, covariance = curve_fit(lambda x, *p: wall(x, *p, found.blur), D, profiles[k], **known)
         assert found.position[k] == pytest.approx(fit[0], abs=1e-4)
         # The noise is estimated to 1.2 %, from 400 profiles of nine degrees of freedom each.
-        assert found.std[k] == pytest.approx(covariance[0, 0] ** 0.5, rel=0.04)
+        assert found.uncertainty[k] == pytest.approx(covariance[0, 0] ** 0.5, rel=0.04)
 
 
 def test_position_is_nan_where_wall_is_hidden_or_out_of_range():
@@ -36,4 +36,4 @@ def test_position_is_nan_where_wall_is_hidden_or_out_of_range():
     profiles[3, D < -2], weights[3, D < -2] = 40.0, 0  # a probe in front of the wall
     found = locate_wall(profiles, D, weights=weights)
     np.testing.assert_allclose(found.position, [0, np.nan, np.nan, 0.4, np.nan], atol=0.02)
-    np.testing.assert_array_equal(np.isnan(found.std), np.isnan(found.position))
+    np.testing.assert_array_equal(np.isnan(found.uncertainty), np.isnan(found.position))

@@ -15,7 +15,7 @@ DIRECTIONS = {"top": 0, "bottom": 2, "left": 3, "right": 1}
 
 
 @dataclass(frozen=True)
-class View(Tidy):
+class Rotation(Tidy):
     """Rotation of an image by quarter turns and a tilt.
 
     Attributes
@@ -37,16 +37,16 @@ class View(Tidy):
     tilt: float = 0.0
     frame: tuple[int, int, int, int] = (0, 0, 0, 0)
 
-    def upright(self, slope: float, entry: Array) -> View:
-        """Return the view in which a leaning probe is vertical.
+    def upright(self, slope: float, entry: Array) -> Rotation:
+        """Return the rotation after which a leaning probe is vertical.
 
         Parameters
         ----------
         slope : float
             Change of the probe's x for each px down.
         entry : ndarray, shape (n, 2)
-            Points (x, y) of this view below which the whole width of the probe is in the image. The
-            new view begins there.
+            Points (x, y) of the rotated image below which the whole width of the probe is in the
+            image. The newly rotated image begins there.
         """
         tilted = replace(self, tilt=float(np.arctan(slope)))
         width, height = self.size
@@ -56,7 +56,7 @@ class View(Tidy):
         left, right, last = int(np.floor(x.min())), int(np.ceil(x.max())), int(np.ceil(y.max()))
         return replace(tilted, frame=(left, first, right - left, last - first))
 
-    def rotate(self, image: NDArray) -> NDArray:
+    def apply(self, image: NDArray) -> NDArray:
         """Return the rotated image; a tilt replicates its borders."""
         if self.tilt == 0:
             return np.rot90(image, DIRECTIONS[self.direction])
