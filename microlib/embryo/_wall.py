@@ -100,7 +100,7 @@ def locate_wall(
 
     # The fit converges from the best place of a scan that has about the right blur.
     every = np.arange(len(profiles))
-    grid = np.linspace(-_SEARCH_RANGE, _SEARCH_RANGE, 15)
+    grid = np.linspace(-_SEARCH_RANGE, _SEARCH_RANGE, 11)
     start, _ = scan(every, min((0.7, 1.1, 1.7, 2.6), key=lambda s: scan(every[::16], s)[1]))
     # Every fourth profile determines the blur well enough. An error of 1e-3 px of the blur moves a
     # wall by less than 1e-4 px.
@@ -131,7 +131,7 @@ def _eliminate_linear(
     transposed = basis.swapaxes(1, 2)
     # Slightly damped, because a profile may have too few samples for all three.
     normal = transposed @ basis + np.sqrt(np.finfo(float).eps) * np.eye(3)
-    to_linear = np.linalg.solve(normal, transposed)
+    to_linear = np.linalg.inv(normal) @ transposed
     linear = to_linear @ profiles[..., np.newaxis]
     residual = used * profiles - (basis @ linear)[..., 0]
     _, step, bump = linear[..., 0].T[..., np.newaxis]
