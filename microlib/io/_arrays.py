@@ -44,13 +44,6 @@ def open_labeled(frames: Any) -> Stack:
     return replace(stack, axis=axis, **label_scale(frames))
 
 
-def open_npy(path: Path) -> Stack:
-    """Return the frames of a NumPy file."""
-    with reading(f"frames cannot be read from {path}"):
-        frames = np.load(path, mmap_mode="r")
-    return open_array(frames, (path,))
-
-
 def open_zarr(path: Path) -> Stack:
     """Return the frames of a zarr array."""
     import zarr  # optional, and slow to import

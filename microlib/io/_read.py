@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import ArgumentError, Frames, Region, as_array, as_region, home_path, whole
-from microlib.io._arrays import open_array, open_items, open_labeled, open_npy, open_zarr
+from microlib.io._arrays import open_array, open_items, open_labeled, open_zarr
 from microlib.io._names import in_order
 from microlib.io._pictures import (
     FILMS,
@@ -32,7 +32,6 @@ READERS: dict[str, Callable[[Path, Choice], Stack]] = {
     **dict.fromkeys(FILMS, lambda path, choice: open_film(path)),
     **dict.fromkeys((*TIFF, ".btf", ".lsm", ".stk"), open_tiff),
     "zarr": lambda path, choice: open_zarr(path),  # a folder of any name
-    ".npy": lambda path, choice: open_npy(path),
 }
 
 
@@ -58,10 +57,10 @@ def read_frames(
         - an xarray.DataArray, whose three dimensions may be in any order if two are x and y, and
           whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
           (coordinates 0, 1, 2, … without a unit are numbers of pixels);
-        - a folder or a pattern (``"scan/*.jpg"``) of images, in the order of the numbers in their
-          names; EXIF orientation is applied unless it changes within the stack; a folder with one
-          file is that file;
-        - a multi-page TIFF or OME-TIFF, a zarr array, a NumPy file or a video;
+        - a folder or a pattern (``"scan/*.jpg"``) of images, in the natural order of their names;
+          EXIF orientation is applied unless it changes within the stack; a folder with one file is
+          that file;
+        - a multi-page TIFF or OME-TIFF, a zarr array or a video;
         - an iterable, such as a list or a generator, of images or of paths to image files;
         - a `Stack`, which this function returned.
 
@@ -89,22 +88,21 @@ def read_frames(
     Raises
     ------
     ValueError
-        At once, if the frames are none of these, if there is none, if a file is missing, is no
-        image or has an unknown suffix, if the order of files is ambiguous, their names differ in
-        more than numbers or one frame has two files, or if a TIFF has axes to choose from, or more
-        or fewer pages than its metadata describe.
-        While the frames are read, if one is damaged or cut off, neither grey nor color, not finite,
-        or of another size or type than the first, or if a film ends before the number of frames in
-        its header. The message names the frame, and the page or axes of a TIFF. Frames that were
-        read before the error are valid.
+        At once, if the frames are none of these or there is none; if a file is missing, is no
+        image or has an unknown suffix; if the names of files give two orders or count along two
+        axes, or one frame has two files; if a TIFF has axes to choose from, or fewer pages than its
+        metadata describe. While the frames are read, if one is damaged or cut off, neither grey nor
+        color, not finite, or of another size or type than the first, or if a film ends before the
+        number of frames in its header. The message names the frame. Frames that were read before
+        the error are valid.
 
     Warns
     -----
     UserWarning
-        If a video has another number of frames than its header says; if numbers are missing in the
-        names of files, or these have no numbers; if pixels are not square, or positions and spacing
-        in the metadata disagree; if photographs have several orientations; if results of this
-        library in a folder are left out.
+        If a video has another number of frames than its header says; if the names of files differ
+        in more than numbers, or in one number that is not evenly spaced; if pixels are not square,
+        or positions and spacing in the metadata disagree; if photographs have several orientations;
+        if results of this library in a folder are left out.
 
     Examples
     --------
@@ -177,6 +175,7 @@ def _open_path(path: Path, choice: Choice) -> Stack:
 
 
 def _kind(frame: NDArray) -> str:
+    """Return what all frames of a stack have in common."""
     return f"{frame.dtype} of shape {frame.shape}"
 
 

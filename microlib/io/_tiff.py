@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -51,8 +50,8 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
     Raises
     ------
     ValueError
-        If the file has channels or several axes to choose from, a damaged chain of pages, or more
-        or fewer pages than its metadata describe.
+        If the file has channels or several axes to choose from, a damaged chain of pages, or fewer
+        pages than its metadata describe.
     """
     wanted = dict(choice)
     with (
@@ -128,14 +127,11 @@ def _check_chain(tiff: tifffile.TiffFile) -> None:
     """Reject a file without a page, or whose last page points to another that cannot be read."""
     if len(tiff.pages) == 0:
         raise ValueError("it holds no page")
-    layout, file, offset = tiff.tiff, tiff.filehandle, tiff.pages[-1].offset
-    if not offset:  # of frames without a directory of their own
-        return
-    file.seek(offset)
-    (tags,) = struct.unpack(layout.tagnoformat, file.read(layout.tagnosize))
-    file.seek(tags * layout.tagsize, 1)
-    if any(file.read(layout.offsetsize)):
-        raise ValueError(f"it is damaged behind page {len(tiff.pages) - 1}")
+    # Where the offset of the page after the last one is, which is 0 if there is none.
+    if at := tiff.pages.next_page_offset:
+        tiff.filehandle.seek(at)
+        if any(tiff.filehandle.read(tiff.tiff.offsetsize)):
+            raise ValueError(f"it is damaged behind page {len(tiff.pages) - 1}")
 
 
 def _read_page(entry: tifffile.TiffPage | tifffile.TiffFrame, pillow: _Opener) -> NDArray:

@@ -45,11 +45,6 @@ def content(path: Path, values: bytes) -> Path:
     return path
 
 
-def npy(path: Path, frames: NDArray) -> Path:
-    np.save(path, frames)
-    return path
-
-
 def picture(path: Path, image: NDArray) -> Path:
     assert cv2.imwrite(str(path), image)
     return path

@@ -118,22 +118,12 @@ def test_unreadable_source_is_rejected_by_name_page_and_fault(stack, tmp_path, w
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
-@pytest.mark.parametrize(
-    ("name", "write"),
-    [
-        ("a.npy", make.npy),
-        ("a.jpg", make.picture),
-        ("a.png", make.picture),
-    ],
-)
-def test_truncated_file_is_rejected(stack, tmp_path, name, write, share):
-    path = write(tmp_path / name, stack[0] if write is make.picture else stack)
+@pytest.mark.parametrize("name", ["a.jpg", "a.png"])
+def test_truncated_picture_is_rejected(stack, tmp_path, name, share):
+    path = make.picture(tmp_path / name, stack[0])
     whole = path.read_bytes()
     make.content(path, whole[: int(share * len(whole))])
-    if write is make.picture:
-        rejects([stack[1], path], f"{name}: damaged, too large or of an unknown format")
-    else:
-        rejects(path, f"cannot be read from .*{name}")
+    rejects([stack[1], path], f"{name}: damaged, too large or of an unknown format")
 
 
 def test_jpeg_whose_rest_was_not_copied_is_rejected(tmp_path):

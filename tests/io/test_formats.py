@@ -50,7 +50,6 @@ SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
     "iterator": lambda _, frames: iter(frames),
     "one buffer": lambda _, frames: make.one_buffer(frames),
     "lazy array": lambda _, frames: make.Lazy(frames),
-    "NumPy file": lambda to, frames: make.npy(to / "a.npy", frames),
     "zarr array": zarr_array,
     "zarr folder": lambda to, frames: zarr_array(to, frames) and to / "a.zarr",
     "list of files": files,
