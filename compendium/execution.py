@@ -1,4 +1,4 @@
-"""Execute one notebook with papermill, in a kernel that is the interpreter of this process."""
+"""Execute one notebook with nbclient, in a kernel that is the interpreter of this process."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from time import perf_counter
 from typing import Any, ClassVar
 
 import nbformat
-import papermill
 from jupyter_client.kernelspec import KernelSpec
 from jupyter_client.manager import AsyncKernelManager
 from jupyter_core.utils import ensure_event_loop
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
 from nbformat import NotebookNode
-from papermill.exceptions import PapermillExecutionError
+from nbformat.v4 import new_code_cell
 from traitlets import Dict, Unicode
 from traitlets.config import Config
 
@@ -28,8 +29,11 @@ from microlib._common import replace_file
 
 #: What a reader sets for other work, and what would change the numbers or the figures here.
 PERSONAL = (
-    "PYTHONOPTIMIZE", "PYTHONSTARTUP", "PYTHONWARNINGS", "MATPLOTLIBRC", "MPLBACKEND"
-)  # fmt: skip
+    *("PYTHONDEVMODE", "PYTHONOPTIMIZE", "PYTHONSTARTUP", "PYTHONWARNINGS"),
+    *("MATPLOTLIBRC", "MPLBACKEND"),
+)
+#: Length of the folder's name, bytes, up to which the name of a socket in it is short enough.
+LONGEST_FOLDER = 100
 interrupted = Event()
 
 
@@ -72,11 +76,6 @@ def interrupt_kernels(number: int | None = None, _: object = None) -> None:
     again.start()
 
 
-def _before_cell(**_: object) -> None:
-    if interrupted.is_set():
-        raise InterruptedError("interrupted")
-
-
 def execute(
     source: Path,
     output: Path,
@@ -87,7 +86,7 @@ def execute(
     variables: Mapping[str, str] | None = None,
     cell_limit: float | None = None,
 ) -> tuple[str, bool]:
-    """Execute a notebook with papermill.
+    """Execute a notebook, also if a cell calls ``sys.exit(0)``, which counts as an error.
 
     Parameters
     ----------
@@ -111,47 +110,48 @@ def execute(
     passed : bool
         Whether every cell ended without an error.
     """
-    start, message, passed = perf_counter(), "", False
+    start, message, passed, place = perf_counter(), "", False, ""
+    notebook = nbformat.read(source, as_version=4)
+    inject(notebook, values)
+
+    def begin(cell: NotebookNode, cell_index: int) -> None:
+        nonlocal place
+        if interrupted.is_set():
+            raise InterruptedError("interrupted")
+        place = f" in cell {cell.id}"
+
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / output.name
-        # Sockets in a folder of their own, since the default names of two kernels may collide. An
-        # empty folder for IPython, which keeps away a profile of the user.
+        # An empty folder for IPython, which keeps away a profile of the user.
         variables = {"IPYTHONDIR": f"{folder}/ipython", **(variables or {})}
-        settings: dict[str, Any] = {"transport": "ipc", "ip": f"{folder}/k", "log_file": str(log)}
-        settings |= {"connection_file": f"{folder}/kernel.json", "variables": variables}
+        settings: dict[str, Any] = {"log_file": str(log), "variables": variables}
+        settings["connection_file"] = f"{folder}/kernel.json"
+        if len(os.fsencode(folder)) <= LONGEST_FOLDER:
+            # Sockets in a folder of their own, as the default names of two kernels may collide.
+            settings |= {"transport": "ipc", "ip": f"{folder}/k"}
+        client = NotebookClient(
+            notebook,
+            timeout=cell_limit,
+            kernel_manager_class=Kernel,
+            config=Config({"Kernel": settings}),
+            resources={"metadata": {"path": str(cwd)}},
+            record_timing=False,
+            on_cell_start=begin,
+        )
         try:
-            papermill.execute_notebook(
-                source,
-                made,
-                dict(values),
-                kernel_name="python3",
-                language="python",
-                progress_bar=False,
-                execution_timeout=cell_limit,
-                kernel_manager_class=Kernel,
-                config=Config({"Kernel": settings}),
-                resources={"metadata": {"path": str(cwd)}},
-                on_cell_start=_before_cell,
-            )
+            client.execute()
             message, passed = f"{perf_counter() - start:.1f} s", True
-        except PapermillExecutionError as error:
-            message = one_line(f"{error.ename}: {error.evalue}")
+        except CellExecutionError as error:
+            message = f"{error.ename}: {error.evalue}"
         except Exception as error:  # whatever happens to a kernel, other notebooks go on
             with log.open("a", encoding="utf-8") as file:
                 traceback.print_exc(file=file)
-            message = one_line(f"{type(error).__name__}: {error}".partition("\n")[0])
+            message = f"{type(error).__name__}: {error}".partition("\n")[0]
         finally:
             loop = ensure_event_loop()  # of this thread, which nbclient leaves open
             if not loop.is_running():  # a caller's own loop is not ours to close
                 loop.close()
-        try:
-            notebook = nbformat.read(made, as_version=4)
-        except (OSError, ValueError):  # never written, or cut off on a full disk
-            notebook = nbformat.read(source, as_version=4)
-        if not passed:
-            message = f"FAILED{place_of_failure(notebook)}: {message}"
-        clean(notebook)
-        replace_file(output, lambda file: nbformat.write(notebook, file))
+    message = one_line(message if passed else f"FAILED{place}: {message}")
+    replace_file(output, lambda file: nbformat.write(notebook, file))
     return message, passed
 
 
@@ -159,20 +159,11 @@ def one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def place_of_failure(notebook: NotebookNode) -> str:
-    """Return the last cell that began, in words; nothing if none did."""
-    begun = [c.id for c in notebook.cells if c.metadata.get("papermill", {}).get("start_time")]
-    return f" in cell {begun[-1]}" if begun else ""
-
-
-def clean(notebook: NotebookNode) -> None:
-    """Remove what papermill adds, and hide the parameters that it injected."""
-    notebook.metadata.pop("papermill", None)
-    marked = "papermill-error-cell-tag"
-    notebook.cells = [c for c in notebook.cells if marked not in c.metadata.get("tags", [])]
-    for cell in notebook.cells:
-        cell.metadata.pop("papermill", None)
-        cell.metadata.pop("execution", None)
-        if "injected-parameters" in cell.metadata.get("tags", []):
-            cell.id = "injected-parameters"
-            cell.metadata.tags.append("remove-cell")
+def inject(notebook: NotebookNode, values: Mapping[str, object]) -> None:
+    """Put a hidden cell with the values of parameters behind the cell that has the defaults."""
+    if values:
+        lines = [f"{name} = {value!r}" for name, value in values.items()]
+        cell = new_code_cell("\n".join(lines), id="injected-parameters")
+        cell.metadata.tags = ["injected-parameters", "remove-cell"]
+        has_defaults = ["parameters" in each.metadata.get("tags", []) for each in notebook.cells]
+        notebook.cells.insert(has_defaults.index(True) + 1, cell)

@@ -138,6 +138,8 @@ def test_failed_notebook_is_listed_and_others_run(project, start, capsys):
     [
         ("import os; print(os.getcwd())", "FAILED: an output names a path of this machine"),
         ("import time; time.sleep(60)", "FAILED in cell source: CellTimeoutError: A cell timed"),
+        ("import sys; sys.exit(0)", "FAILED in cell source: SystemExit: 0"),
+        ("%nothing", "FAILED in cell source: UsageError: Line magic function `%nothing` not found"),
     ],
 )
 def test_failures_are_reported_with_reason(project, monkeypatch, source, message):
@@ -145,6 +147,27 @@ def test_failures_are_reported_with_reason(project, monkeypatch, source, message
     write_notebook(project, "01_first", source)
     run.build(["01_first"], 1, force=False)
     assert run.failures()["01_first"].startswith(message)
+
+
+def test_notebook_runs_if_folder_for_temporary_files_has_a_long_name(project, monkeypatch):
+    """The name of a socket may have 107 bytes."""
+    folder = project / ("a" * 120)
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    write_notebook(project, "01_first", "1")
+    run.build(["01_first"], 1, force=False)
+    assert run.failures() == {"06_last": "it was not run"}
+
+
+def test_packages_in_pythonpath_are_rejected(project, start, monkeypatch, capsys):
+    about = project / "own" / "numpy-1.0.dist-info" / "METADATA"
+    about.parent.mkdir(parents=True)
+    about.write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 1.0\n")
+    monkeypatch.setenv("PYTHONPATH", f"{project / 'own'}{os.pathsep}")
+    assert start() == 1
+    assert "PYTHONPATH must not replace installed packages, got one with numpy." in (
+        capsys.readouterr().err
+    )
 
 
 def test_second_run_waits_for_lock(project):
@@ -182,10 +205,10 @@ def test_wrong_arguments_give_one_line(
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
 def test_run_on_own_data_writes_to_its_own_folder(project, start, source, status):
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
-    own = ("-p", "record", "2.50", "-p", "width", "-5e1")
+    own = ("-p", "record", "2.50", "-p", "width", "-50")
     assert start("01", *own, "--output", "mine") == status
     given = injected(project / "mine" / "01_first.ipynb").source
-    assert 'record = "2.50"' in given
+    assert "record = '2.50'" in given
     assert "width = -50.0" in given
     files = {path.name for path in (project / "mine").iterdir()}
     assert files == {"01_first.ipynb", "01_first.log.txt"}
