@@ -146,6 +146,25 @@ def test_region_and_reduce_must_fit_the_frame(stack):
         read_frames(stack, reduce=49)
 
 
+def test_values_outside_a_region_are_not_checked(stack):
+    frames = stack.astype(np.float32)
+    frames[:, 0, 0] = np.nan
+    with pytest.raises(ValueError, match=r"frames\[0\] must be finite"):
+        read_frames(frames)
+    region = read_frames(frames, region=(1, 0, 30, 20))
+    np.testing.assert_array_equal(read_stack(region), stack[:, :20, 1:31])
+
+
+def test_stack_describes_its_frames_and_later_frames_are_checked(stack):
+    frames = [stack[0], stack[1], stack[2, :9]]
+    found = read_frames(iter(frames), reduce=2)
+    assert repr(found) == "Stack(unknown number of frames of 24×28 px, grey, uint8)"
+    seen = []
+    with pytest.raises(ValueError, match=r"frames\[2\] must be uint8 of shape .* got .* \(9, 56\)"):
+        seen.extend(found)
+    assert len(seen) == 2
+
+
 def test_frames_are_not_empty_and_those_of_a_list_can_be_narrow():
     for nothing in ([], iter([]), np.zeros((0, 4, 5))):
         with pytest.raises(ValueError, match="frames must hold at least one image, got none"):
