@@ -23,7 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 COMMANDS = (
     "depth data/synthetic/focal_stack.tif --spacing 25 --pixel-size 3.9 -o {out}",
     "depth data/real/beads --spacing 1 --pixel-size 1 --register --reduce 2 --workers 2 -o {out}",
-    "calibrate data/synthetic/circles.png --pitch 280 --pixel-pitch 9.9 --focal-length 126150 -o {out}",
+    "calibrate data/synthetic/circles.png --pitch 280 --pixel-pitch 9.9"
+    " --focal-length 126150 -o {out}",
     "calibrate data/real/chessboard --pitch 25mm -o {out}",
     "track data/synthetic/frames.tif --box 30 40 40 40 --rate 33 -o {out}.csv",
     "track data/synthetic/frames.tif --box 30 40 40 40 --motion homography --video -o {out}.csv",
