@@ -60,15 +60,11 @@ def point_jacobian(
     array([[  0.2,   0. ,   0. ,   0. ,   0. , -20. ],
            [  0. ,   0.2,   0. ,  -0. ,   0. ,  10. ]])
     """
-    xy = np.atleast_2d(as_array("points", points))
-    xy = as_array("points", xy, shape=(None, 2))
+    xy = as_array("points", np.atleast_2d(as_array("points", points)), shape=(None, 2))
     z = as_array("depth", depth)
-    z = as_array(
-        "depth", np.full(len(xy), z.item()) if z.size == 1 and z.ndim < 2 else z, shape=(None,)
-    )
+    z = as_array("depth", np.full(len(xy), z) if z.ndim == 0 else z, shape=(None,))
     same_length(("points", "depth"), xy, z)
-    pitch = positive("pixel_pitch", pixel_pitch)
-    pitch = as_array("pixel_pitch", np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
+    pitch = of_two_axes("pixel_pitch", pixel_pitch)
     scale_x, scale_y = scalar("magnification", magnification, above=0) / pitch
     aspect = pitch[1] / pitch[0]
     jacobian = np.zeros((len(xy), 2, 6))
@@ -294,6 +290,12 @@ class OptimalController:
         error = reference[min(whole("k", k, least=0) + 1, len(reference) - 1)] - measured
         seen = np.isfinite(measured).all(axis=-1, keepdims=True)
         return np.where(seen, error, 0.0) @ self.gain.T
+
+
+def of_two_axes(name: str, value: ArrayLike) -> Array:
+    """Return two positive numbers, given as such or as one for both axes."""
+    numbers = positive(name, value)
+    return as_array(name, np.full(2, numbers) if numbers.ndim == 0 else numbers, shape=(2,))
 
 
 def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:

@@ -81,17 +81,18 @@ class InterruptGate:
 
     def __enter__(self) -> InterruptGate:
         handler = signal.getsignal(signal.SIGINT)
-        # Python calls handlers in the main thread only. One that is not a Python function could
-        # not be restored.
-        self._handler = handler if callable(handler) else None
-        if self._handler is not None and current_thread() is main_thread():
+        # Python calls handlers in the main thread only. One that is no Python function could not be
+        # restored.
+        replaced = callable(handler) and current_thread() is main_thread()
+        self._handler: Any = handler if replaced else None
+        if replaced:
             signal.signal(signal.SIGINT, self._receive)
         return self
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        if self.is_open and self._handler is not None:
+        if self.is_open:
             self._handler(number, frame)
 
     def __exit__(self, *error: object) -> None:
-        if self._handler is not None and current_thread() is main_thread():
+        if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)

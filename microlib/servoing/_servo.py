@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, positive, scalar
-from microlib.servoing._control import full_rank
+from microlib._common import Array, Tidy, as_array, scalar
+from microlib.servoing._control import full_rank, of_two_axes
 from microlib.servoing._devices import EndRun, InterruptGate, check_devices, stop_stage
 from microlib.servoing._loop import USED, Loop, LoopOptions, add_event, new_row, put
 
@@ -179,8 +179,7 @@ def servo(
     check_devices(workstation)
     if not callable(getattr(tracker, "track", None)):
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
-    limits = positive("travel", travel)
-    limits = as_array("travel", limits if limits.ndim else np.full(2, limits), shape=(2,))
+    limits = of_two_axes("travel", travel)
     shortest = float(limits.min())
     longest = USED * shortest
     if longest_move is not None:
@@ -208,11 +207,11 @@ def servo(
                 gate.is_open = False
         except EndRun as end:
             reason = str(end)
-        except KeyboardInterrupt as interrupt:
-            gate.is_open = False  # The interrupt can precede the same line above.
-            reason, error = "interrupted by the user", interrupt
-        except Exception as fault:  # of a device, a tracker or `progress`
-            reason, error = f"{type(fault).__name__}: {fault}", fault
+        except BaseException as fault:  # of a device, a tracker, `progress` or by Ctrl-C
+            gate.is_open = False  # Ctrl-C can precede the same line above.
+            pressed = isinstance(fault, KeyboardInterrupt)
+            reason = "interrupted by the user" if pressed else f"{type(fault).__name__}: {fault}"
+            error = fault
         trouble = stop_stage(workstation, options.timeout)
         reason = "; ".join(filter(None, (reason, trouble)))
         run = _result(loop, reason, not trouble, error)
@@ -220,6 +219,8 @@ def servo(
             time.sleep(_DEBOUNCE)
     if isinstance(error, KeyboardInterrupt):
         raise RunInterrupt(run) from None
+    if error is not None and not isinstance(error, Exception):
+        raise error  # such as SystemExit, now that the stage was stopped
     return run
 
 

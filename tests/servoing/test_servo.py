@@ -206,6 +206,15 @@ def test_own_handler_of_ctrl_c_is_called_during_the_run_and_kept(handler):
     assert signal.getsignal(signal.SIGINT) is own
 
 
+def test_exit_of_python_during_the_run_stops_the_stage_first():
+    scope = scope_of(stage=StageModel(saturation=100.0))
+    stopped, stop = [], scope.workstation.stage.stop
+    scope.workstation.stage.stop = lambda: (stopped.append(1), stop())
+    with pytest.raises(SystemExit, match="enough"):
+        steer(scope, AWAY, progress=lambda row: sys.exit("enough"))
+    assert stopped
+
+
 # --- How a run ends, and the reason that it states ----------------------------------------------
 
 
