@@ -80,7 +80,7 @@ def track_each(
             tracker.kalman = kalman  # it has nothing to predict in the first frame
         else:
             track = tracker.track(frame)
-        row = {"frame": number} | ({} if interval is None else {"time_s": number * interval})
+        row: dict[str, Any] = {"frame": number} | ({} if interval is None else {"time_s": number * interval})
         row |= track.to_dict()
         if size is not None:
             x, y = (size * (track.center - start)).tolist()
