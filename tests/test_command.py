@@ -34,6 +34,8 @@ ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ROOT / "data" / "synthetic"
 MODULUS = "--pixel-size 3.875 --thickness 3 --probe-half-width 25 --poisson-ratio 0.5"
 BOX = "--box 30 40 40 40"
+#: A part that fills three quarters of its box of 49×49 px.
+DISC = np.hypot(*(np.indices((160, 173)) - 84)) < 24
 STACK = "depth focal_stack.tif --spacing 25 --pixel-size 3.9"
 GRID = "calibrate circles.png --pitch 0.28mm --pixel-pitch 9.9um --focal-length 126150"
 OUTLINE = f"modulus outline.csv --force 10 --force-uncertainty 3 {MODULUS}"
@@ -281,6 +283,7 @@ def test_advice_depends_on_the_calibration(
     [
         ("--motion affine --rate 20 --video", {"motion": "affine", "rate": 20.0}),
         ("--pixel-size 2.5 --video", {"motion": "translation", "pixel_size": 2.5}),
+        ("--mask MASK", {"motion": "translation", "mask": DISC}),
         ("--motion homography --rate 12.5 --pixel-size 2.5um",
             {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
@@ -293,6 +296,8 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
     frames[3] = np.random.default_rng(2).integers(0, 50000, frames[3].shape)
     tifffile.imwrite(tmp_path / "film.tif", frames)
     out = tmp_path / "track.csv"
+    cv2.imwrite(str(tmp_path / "mask.png"), np.uint8(200 * DISC))
+    line = line.replace("MASK", str(tmp_path / "mask.png"))
     line = f"track {tmp_path / 'film.tif'} --box 60 60 49 49 {line}"
     assert status(line, out, "") == 0
     printed = capsys.readouterr()

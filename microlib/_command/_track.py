@@ -21,6 +21,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
     box = "box around the part in the first frame, px"
     parser.add_argument("--box", required=True, help=box, **options.BOX)
+    mask = "image of the frame's size that is not black where the box shows the part"
+    parser.add_argument("--mask", metavar="FILE", help=mask)
     motions = ["translation", "affine", "homography"]
     parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
     parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
@@ -37,13 +39,14 @@ def run(a: argparse.Namespace, session: Session) -> End:
     """
     import pandas as pd
 
-    from microlib import tracking
+    from microlib import io, tracking
 
     frames = options.open_frames(a, session)
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         options.resolve_scales(a, session, "pixel_size", pixel_size=frames.pixel_size)
-    each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size)
+    mask = None if a.mask is None else io.read_grey(a.mask)
+    each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size, mask=mask)
     rows, lost = [next(each)], 0
     if a.rate is not None:
         session.say(f"rate {a.rate:g} frames/s (given)")

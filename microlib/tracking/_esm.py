@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
+import cv2
 import numpy as np
 
 from microlib._common import Array, Image
@@ -21,7 +22,7 @@ from microlib.tracking._geometry import (
     cut_around,
     translate,
 )
-from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding
+from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding, sample
 from microlib.tracking._settings import TrackerSettings
 
 #: Margin (px) of the part of a frame that is sampled at half pixels: three pixels of interpolation,
@@ -102,6 +103,8 @@ class Level:
         Mean and standard deviation of the grey values.
     noise : float
         Standard deviation that white noise of unit variance has at this level.
+    mask : ndarray or None
+        Share of each pixel of the padded patch that shows the object; None if all of it does.
     """
 
     settings: TrackerSettings
@@ -117,6 +120,19 @@ class Level:
     mean: float
     contrast: float
     noise: float
+    mask: Image | None
+
+    @cached_property
+    def weight(self) -> Image:
+        """Share of each pixel that shows the object, H×W."""
+        if self.mask is None:
+            return np.ones_like(self.grey)
+        pad = padding(self.smoothing)
+        return self.mask[pad:-pad, pad:-pad]
+
+    def visible(self, weight: Image) -> float:
+        """Return the share of the template whose pixels have a weight."""
+        return float(weight.mean() / self.weight.mean())
 
     @cached_property
     def centered(self) -> Image:
@@ -131,17 +147,17 @@ class Level:
         A saturated pixel has no weight, unless the template is saturated there, too.
         """
         warp = self.to_image @ pose @ self.to_template
-        grey, gradient, inside = cut_out(image, warp, self.grey.shape, self.smoothing)
+        grey, gradient, inside = cut_out(image, warp, self.grey.shape, self.smoothing, self.mask)
         if saturation < np.inf:
             inside = inside & ((grey < saturation) | (self.grey >= saturation))
-        return grey, gradient, inside.astype(np.float32)
+        return grey, gradient, inside * self.weight
 
     def align(self, image: Image, pose: Array, *, tolerance: float, gain: float = 1.0) -> Alignment:
         """Minimize over warp, gain and bias until the corners move by less than `tolerance` px."""
         n, settings, start = len(self.basis), self.settings, pose
         for count in range(1, settings.max_iterations + 1):
             grey, gradient, weight = self.patch(image, pose)
-            visible = float(weight.mean())
+            visible = self.visible(weight)
             failed = partial(Alignment, pose, visible=visible, iterations=count)
             if visible < settings.min_visible:
                 return failed(reason="out of view")
@@ -248,6 +264,7 @@ def make_level(
     smoothing: float,
     motion: str,
     settings: TrackerSettings,
+    mask: Image | None = None,
 ) -> Level:
     """Cut a template from a frame at one resolution.
 
@@ -268,6 +285,8 @@ def make_level(
         One of `GENERATORS`.
     settings : TrackerSettings
         Settings of the alignment.
+    mask : ndarray, shape (H, W), optional
+        1 where the frame shows the object, and 0 elsewhere.
     """
     x, y, width, height = box
     step = 2**halvings
@@ -279,13 +298,20 @@ def make_level(
     )
     to_image = np.diag([density / step, density / step, 1.0])
     to_template = np.linalg.inv(pose) @ to_frame
-    grey, gradient, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing)
+    if mask is not None:
+        share = cv2.blur(mask, (2 * step - 1,) * 2)
+        share, _ = sample(share, to_frame, (columns + 2 * pad, rows + 2 * pad))
+        mask = np.where(share > 0.5, share, np.float32(0))  # most of it is the object
+    grey, gradient, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing, mask)
+    weight = 1.0 if mask is None else mask[pad:-pad, pad:-pad].astype(np.float64)
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     points = to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     basis = GENERATORS[motion]
     velocity = basis @ points
     flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
+    weight = np.broadcast_to(weight / np.sum(weight * np.ones_like(grey)), grey.shape)
+    mean = float(np.sum(weight * grey))
     return Level(
         settings=settings,
         halvings=halvings,
@@ -297,9 +323,10 @@ def make_level(
         flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
         grey=grey,
         gradient=gradient,
-        mean=float(grey.mean(dtype=np.float64)),
-        contrast=float(grey.std(dtype=np.float64)),
+        mean=mean,
+        contrast=float(np.sqrt(np.sum(weight * (grey - mean) ** 2))),
         noise=noise_gain(halvings, density, smoothing),
+        mask=mask,
     )
 
 
@@ -311,7 +338,7 @@ def check_texture(template: Template) -> None:
             f"box must hold texture coarser than 1 px, got a contrast of {sharp.contrast:.3g} of "
             f"which a blur of {smooth.smoothing:g} px leaves {smooth.contrast:.3g}"
         )
-    gradient = sharp.gradient.astype(np.float64)
+    gradient = sharp.gradient.astype(np.float64) * sharp.weight.ravel()
     weak, strong = np.linalg.eigvalsh(gradient @ gradient.T)  # of the structure tensor
     # The gradient that rounding to single precision gives a flat template.
     if strong <= (ROUNDING * np.abs(sharp.grey).max()) ** 2 * sharp.grey.size:

@@ -26,6 +26,7 @@ def track_each(
     rate: float | None = None,
     pixel_size: float | None = None,
     kalman: KalmanFilter | None = None,
+    mask: ArrayLike | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Track a template through a film and yield a row for each frame as soon as it is tracked.
 
@@ -35,7 +36,7 @@ def track_each(
         Frames one after another, as a list, a stack or `microlib.io.read_frames` gives them; the
         first one shows the template. They are read one at a time, and may be wrapped, by ``tqdm``
         for example.
-    box, motion, kalman
+    box, motion, kalman, mask
         As for `ESMTracker`.
     rate : float, optional
         Frames per second, for the column ``time_s``.
@@ -74,13 +75,15 @@ def track_each(
     for number, frame in enumerate(frames):
         if tracker is None:
             as_image("frames", luminance("frames", frame))
-            tracker = ESMTracker(frame, box, motion)
+            tracker = ESMTracker(frame, box, motion, mask=mask)
             track = tracker.track(frame)
             start = track.center
             tracker.kalman = kalman  # it has nothing to predict in the first frame
         else:
             track = tracker.track(frame)
-        row: dict[str, Any] = {"frame": number} | ({} if interval is None else {"time_s": number * interval})
+        row: dict[str, Any] = {"frame": number} | (
+            {} if interval is None else {"time_s": number * interval}
+        )
         row |= track.to_dict()
         if size is not None:
             x, y = (size * (track.center - start)).tolist()
@@ -98,12 +101,13 @@ def track_all(
     rate: float | None = None,
     pixel_size: float | None = None,
     kalman: KalmanFilter | None = None,
+    mask: ArrayLike | None = None,
 ) -> pd.DataFrame:
     """Track a template through all frames of a film.
 
     Parameters
     ----------
-    frames, box, motion, rate, pixel_size, kalman
+    frames, box, motion, rate, pixel_size, kalman, mask
         As for `track_each`.
 
     Returns
@@ -137,7 +141,10 @@ def track_all(
     rows: list[dict[str, Any]] = []
     problem = ""
     try:
-        for row in track_each(frames, box, motion, rate=rate, pixel_size=pixel_size, kalman=kalman):
+        each = track_each(
+            frames, box, motion, rate=rate, pixel_size=pixel_size, kalman=kalman, mask=mask
+        )
+        for row in each:
             rows.append(row)
     except (OSError, ValueError) as error:
         if not rows:

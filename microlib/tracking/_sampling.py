@@ -109,20 +109,29 @@ def sample(
 
 
 def cut_out(
-    image: Image, warp: Array, shape: tuple[int, int], smoothing: float
+    image: Image,
+    warp: Array,
+    shape: tuple[int, int],
+    smoothing: float,
+    mask: Image | None = None,
 ) -> tuple[Image, Image, NDArray[np.bool_]]:
     """Return a patch, H×W, smoothed, its gradient (x, y), 2×HW, and where the image shows it.
 
     The warp begins at the first pixel of the padding. Smoothing in the template's frame, and not in
-    the image, commutes with the warp.
+    the image, commutes with the warp. With a mask of the padded patch, the smoothing is that of the
+    masked pixels only.
     """
     pad = padding(smoothing)
     patch, inside = sample(
         image, warp, (shape[1] + 2 * pad, shape[0] + 2 * pad), exact=smoothing == 0
     )
     if smoothing:
-        width = 2 * (pad - _MARGIN) + 1
-        patch = cv2.GaussianBlur(patch, (width, width), smoothing)
+        size = (2 * (pad - _MARGIN) + 1,) * 2
+        if mask is None:
+            patch = cv2.GaussianBlur(patch, size, smoothing)
+        else:
+            share = np.maximum(cv2.GaussianBlur(mask, size, smoothing), np.float32(TINY))
+            patch = cv2.GaussianBlur(patch * mask, size, smoothing) / share
     gradient = [cv2.filter2D(patch, -1, kernel) for kernel in (_DIFFERENCE, _DIFFERENCE.T)]
     grey, *slope, inside = (each[pad:-pad, pad:-pad] for each in (patch, *gradient, inside))
     return np.ascontiguousarray(grey), np.stack([each.ravel() for each in slope]), inside

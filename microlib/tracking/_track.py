@@ -52,7 +52,8 @@ class Track(Tidy):
         confidence falls to 0.7 at a motion of 0.23 of a period, or of 0.3 of a period if that is
         more than a quarter of the box.
     hidden : ndarray of bool, shape (height, width)
-        Pixels of the box where the frame shows something else, or nothing; all when `lost`.
+        Pixels of the object where the frame shows something else, or nothing; all when `lost`.
+        The object is the box, or what the mask of the tracker contains of it.
     """
 
     _parts = (

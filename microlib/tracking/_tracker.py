@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_image, as_region, luminance, one_of
+from microlib._common import ArgumentError, Array, as_array, as_image, as_region, luminance, one_of
 from microlib.tracking._esm import Template, check_texture, make_level
 from microlib.tracking._geometry import GENERATORS, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
@@ -43,8 +43,9 @@ class ESMTracker:
     that moves differently from the rest, such as an object in front of a static background. A
     visible template may therefore be reported as lost. If most of the texture in the box is
     background, the background may be tracked instead of the object: the box should show little of
-    it. The motion of a periodic texture by a whole period cannot be distinguished from rest.
-    Motion by nearly a whole period looks like a small motion in the opposite direction.
+    it, or a `mask` should exclude it. The motion of a periodic texture by a whole period cannot be
+    distinguished from rest. Motion by nearly a whole period looks like a small motion in the
+    opposite direction.
 
     Parameters
     ----------
@@ -59,6 +60,9 @@ class ESMTracker:
         Filter that predicts where the search in each frame starts. The filter also limits the
         region in which a lost template is searched for. By default a search starts at the last
         accepted pose.
+    mask : array_like, shape (H, W), optional
+        True or not 0 where the frame shows the object. Only these pixels of the box are tracked. By
+        default these are all pixels of the box.
 
     Attributes
     ----------
@@ -104,10 +108,18 @@ class ESMTracker:
         motion: str = "homography",
         *,
         kalman: KalmanFilter | None = None,
+        mask: ArrayLike | None = None,
     ) -> None:
         frame = np.ascontiguousarray(as_image("image", luminance("image", image)))
         motion = one_of("motion", motion, tuple(GENERATORS))
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=6)
+        weight, self._object = None, np.ones((height, width), bool)
+        if mask is not None:
+            whole = as_array("mask", mask, shape=frame.shape) != 0
+            self._object, weight = whole[y : y + height, x : x + width], whole.astype(np.float32)
+            pixels = np.count_nonzero(self._object)
+            if pixels < 36:
+                raise ArgumentError("mask", f"must hold at least 36 px of the box, got {pixels}")
         # The power of two that brings the template's contrast to 32 … 64 grey levels.
         contrast = float(frame[y : y + height, x : x + width].std(dtype=np.float64))
         self._grey_scale = np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast else 1)
@@ -119,7 +131,14 @@ class ESMTracker:
         )
         self._pose = self._start
         settings = self._settings
-        cut = partial(make_level, box=self._box, pose=self._start, motion=motion, settings=settings)
+        cut = partial(
+            make_level,
+            box=self._box,
+            pose=self._start,
+            motion=motion,
+            settings=settings,
+            mask=weight,
+        )
         plain = Template(
             smooth=cut(frame, smoothing=settings.smoothing),
             sharp=cut(half_pixel(frame), density=2, smoothing=0.0),
@@ -135,6 +154,7 @@ class ESMTracker:
             pose=self._start,
             motion=motion,
             settings=settings,
+            mask=weight,
         )
         self._last = Sighting(self._template, frame, self._pose)
         self._first_lookalikes = self._last.lookalikes
@@ -208,7 +228,7 @@ class ESMTracker:
             iterations=fit.iterations,
             covariance=best.corner_covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2)),
             confidence=best.confidence,
-            hidden=best.hidden,
+            hidden=best.hidden & self._object,
         )
 
     def _lost(self, reason: str, confidence: float = 0.0) -> Track:
@@ -218,7 +238,7 @@ class ESMTracker:
             lost=True,
             reason=reason,
             confidence=confidence,
-            hidden=np.ones(self._box[:1:-1], bool),
+            hidden=self._object.copy(),
         )
 
     def _corners(self) -> Array:

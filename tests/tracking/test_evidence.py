@@ -280,6 +280,62 @@ def test_template_that_is_half_static_background_is_lost_when_its_object_moves(n
         np.testing.assert_allclose(alone.center, (70 + 9 + 14.5, 60 + 4 + 29.5), atol=0.05)
 
 
+@pytest.mark.parametrize("motion", ["translation", "affine", "homography"])
+@pytest.mark.parametrize("size", [50, 140])
+def test_part_in_a_mask_is_tracked_before_ground_that_fills_most_of_the_box(size, motion):
+    rng, x, y = default_rng(size), 60, 50
+    ground = mixed_texture((size + 100, size + 120), rng, scales=(2.0, 6.0), std=40.0)
+    part = mixed_texture((size, size), rng, scales=(2.0, 6.0), std=20.0)
+    jaws = np.zeros((size, size), bool)
+    jaws[:, : size // 6] = jaws[:, -size // 6 :] = True
+    mask, film = np.zeros(ground.shape), []
+    mask[y : y + size, x : x + size] = jaws
+    for k in range(6):
+        image = ground.copy()
+        box = slice(y + 2 * k, y + 2 * k + size), slice(x + 3 * k, x + 3 * k + size)
+        image[box] = np.where(jaws, part, image[box])
+        film.append(camera_frame(image, rng))
+    tracker = ESMTracker(film[0], (x, y, size, size), motion, mask=mask)
+    for k, frame in enumerate(film):
+        track = tracker.track(frame)
+        assert not track.lost
+        # As a part without ground, with a third of the pixels: 0.02 px, deformed corners 0.1 px.
+        limit = 0.1 if motion == "translation" else 0.5
+        assert np.abs(track.corners[0] - (x + 3 * k, y + 2 * k)).max() < limit
+        assert track.visible == 1
+        assert not track.hidden[~jaws].any()
+        assert track.hidden.mean() < 0.02
+    lost = tracker.track(camera_frame(ground, rng))
+    assert lost.lost
+    np.testing.assert_array_equal(lost.hidden, jaws)
+
+
+def test_mask_of_the_whole_box_changes_nothing():
+    first, second = (
+        camera_frame(translated(scene(0), by), default_rng(0)) for by in ((0, 0), (4, 1))
+    )
+    box = (70, 65, 50, 40)
+    tracks = [
+        ESMTracker(first, box, mask=mask).track(second) for mask in (None, np.ones(first.shape))
+    ]
+    np.testing.assert_allclose(tracks[1].corners, tracks[0].corners, atol=1e-3)
+    np.testing.assert_allclose(tracks[1].covariance, tracks[0].covariance, rtol=1e-2)
+    assert (tracks[1].gain, tracks[1].visible) == pytest.approx((tracks[0].gain, 1.0), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        (np.ones((199, 260)), r"mask must have shape \(200, 260\)"),
+        (np.zeros((200, 260)), "mask must hold at least 36 px of the box, got 0"),
+        (np.full((200, 260), np.nan), "mask must be finite"),
+    ],
+)
+def test_mask_that_does_not_fit_the_box_is_rejected(mask, message):
+    with pytest.raises(ValueError, match=message):
+        ESMTracker(scene(0), (70, 65, 50, 50), mask=mask)
+
+
 @pytest.mark.parametrize("distance", [0.5, 4.5])
 def test_right_pose_has_as_high_a_score_in_less_noise(distance):
     """Interpolation then leaves more than the noise: a score must allow for both."""

@@ -108,7 +108,7 @@ class PhotometricLevel(Level):
             correlation=correlation,
             gain=gain_of_middle,
             bias=float(coefficients[_BIAS] @ middle) - gain_of_middle * self.mean,
-            visible=float(weight.mean()),
+            visible=self.visible(weight),
             iterations=steps,
             design=design,
             residual=residual,
@@ -116,7 +116,9 @@ class PhotometricLevel(Level):
             blocks=compare(grey, model.reshape(shape), weight, noise, settings),
             noise=scale / noise,
             psi_slope=_tukey_slope(robust, residual, TUKEY_LIMIT * scale),
-            hidden=_hidden(residual, model.reshape(shape), noise, settings.window),
+            hidden=_hidden(
+                np.where(self.weight > 0, residual, 0), model.reshape(shape), noise, settings.window
+            ),
         )
 
 

@@ -28,7 +28,7 @@ class PointFlow:
             np.arange(2 + (side - 5) % spacing // 2, side - 2, spacing) for side in level.grey.shape
         )
         place = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-        self._points = place.astype(np.float32)
+        self._points = place[level.weight[tuple(place.T[::-1])] > 0].astype(np.float32)
         self._error = settings.point_error / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
@@ -125,7 +125,9 @@ def ncc_peaks(
     if min(np.subtract(image.shape, level.grey.shape)) < 0:
         return []
     smooth = cv2.GaussianBlur(image, (0, 0), level.smoothing) if level.smoothing else image
-    scores = cv2.matchTemplate(smooth, level.grey, cv2.TM_CCOEFF_NORMED)
+    mask = None if level.mask is None else level.weight
+    scores = cv2.matchTemplate(smooth, level.grey, cv2.TM_CCOEFF_NORMED, mask=mask)
+    scores = np.where(np.isfinite(scores), scores, -1.0)  # a flat part of the image under a mask
     peaks = peak_local_max(scores, min_distance=apart, threshold_abs=least, exclude_border=False)
     middle = (np.array(level.grey.shape[::-1]) - 1) / 2
     places = (peaks[:, ::-1] + middle) / level.to_image[0, 0]

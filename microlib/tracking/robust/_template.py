@@ -8,7 +8,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, Image
 from microlib.tracking._esm import Level, Template, make_level
 from microlib.tracking._geometry import cut_around, translate
 from microlib.tracking._sampling import SearchFrame, half_pixel
@@ -120,6 +120,7 @@ def make_search_template(
     pose: Array,
     motion: str,
     settings: TrackerSettings,
+    mask: Image | None,
 ) -> SearchTemplate:
     """Cut the levels of a search from the first frame; the arguments are those of `make_level`."""
     width, height = box[2:]
@@ -128,7 +129,7 @@ def make_search_template(
     coarsest = finest  # up to two more while the shorter side keeps 12 px
     while coarsest < finest + 2 and min(width, height) >= 24 << coarsest:
         coarsest += 1
-    cut = partial(make_level, box=box, pose=pose, motion=motion, settings=settings)
+    cut = partial(make_level, box=box, pose=pose, motion=motion, settings=settings, mask=mask)
     smoothing = settings.coarse_smoothing
     layer = frame.layer(finest)
     blurred, photometric = [], []
