@@ -95,13 +95,16 @@ def run(a: argparse.Namespace, session: Session) -> End:
     return End()
 
 
-def _advise(session: Session, result: Any, found: Sequence[Any], focal_given: bool) -> None:
+def _advise(session: Session, result: Any, detections: Sequence[Any], focal_given: bool) -> None:
     """Note what to do about a calibration that is worth little."""
-    shares = [np.ptp(each.points, axis=0).prod() / np.prod(each.image_size) for each in found]
+    shares = [
+        np.ptp(detection.points, axis=0).prod() / np.prod(detection.image_size)
+        for detection in detections
+    ]
     if max(shares) < 0.05:
         session.note("the grid covers less than 5 % of the image: let it fill the image")
     if not result.adequate:
-        more = " Several photographs show more of the lens" * (len(found) == 1)
+        more = " Several photographs show more of the lens" * (len(detections) == 1)
         focal = "--focal-length that of the objective, " * focal_given
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
         session.note(f"the model does not fit the points: {suspects}{more}")

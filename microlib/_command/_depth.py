@@ -62,21 +62,21 @@ def run(a: argparse.Namespace, session: Session) -> End:
             bar.total = total
             bar.update(done - bar.n)
 
-        found = focus.depth_from_focus(frames, **how, progress=progress)
+        result = focus.depth_from_focus(frames, **how, progress=progress)
     size = scales["pixel_size"] * a.reduce
-    found = replace(found, pixel_size=size)
-    maps = (found.depth, found.uncertainty, found.index, found.all_in_focus)
+    result = replace(result, pixel_size=size)
+    maps = (result.depth, result.uncertainty, result.index, result.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
         session.write(
             name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
         )
-    sharp = found.all_in_focus
+    sharp = result.all_in_focus
     grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
-    step = max(1, ceil(sqrt(found.depth.size / 250_000)))  # more vertices are slow to show
-    mesh = {"height": found.depth[::step, ::step], "image": grey[::step, ::step]}
+    step = max(1, ceil(sqrt(result.depth.size / 250_000)))  # more vertices are slow to show
+    mesh = {"height": result.depth[::step, ::step], "image": grey[::step, ::step]}
     session.write("surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step))
-    summary = found.to_dict() | scales | {"pixel_size": size}
+    summary = result.to_dict() | scales | {"pixel_size": size}
     session.write("summary.json", text(json.dumps(summary, indent=2)))
-    session.write("look.png", picture(found.plot))
-    session.say(found)
+    session.write("look.png", picture(result.plot))
+    session.say(result)
     return End()

@@ -87,13 +87,13 @@ def _estimate(
     modulus = float(membrane.elastic_modulus(**values))
     samples = membrane.modulus_samples(values, uncertainties, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
-    found = {"modulus_MPa": modulus}
-    found["finite_slope_modulus_MPa"] = np.nan
+    row = {"modulus_MPa": modulus}
+    row["finite_slope_modulus_MPa"] = np.nan
     with suppress(ValueError):  # no uniform stress has a dimple as deep as this
-        found["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
-    found |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
-    found |= {f"{name}_uncertainty": value for name, value in uncertainties.items()}
-    return found, (
+        row["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
+    row |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
+    row |= {f"{name}_uncertainty": value for name, value in uncertainties.items()}
+    return row, (
         f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
         f"a = {dimple.rim_radius:.1f} ± {radius:.1f} µm, "
         f"w_d = {dimple.dimple_depth:.1f} ± {depth:.1f} µm"

@@ -15,8 +15,8 @@ SOFTWARE = "microlib"
 
 def home_path(path: str | PathLike[str]) -> Path:
     """Return a path with ``~`` as the home folder; other names may begin with a tilde."""
-    found = Path(path)
-    return found.expanduser() if found.parts[:1] == ("~",) else found
+    given = Path(path)
+    return given.expanduser() if given.parts[:1] == ("~",) else given
 
 
 def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> None:

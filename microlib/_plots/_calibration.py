@@ -13,7 +13,7 @@ from microlib._plots._axes import FOUND, OFF, new_axes, rounded_down, show_image
 
 
 def marks(
-    found: Sequence[Any],
+    detections: Sequence[Any],
     images: Sequence[NDArray] | None = None,
     residuals: NDArray | None = None,
     ax: Any = None,
@@ -22,41 +22,45 @@ def marks(
 
     One panel per view; with `ax` only the first view is drawn there. Return the figure.
     """
-    width, height = found[0].image_size
-    columns = ceil(sqrt(len(found)))
-    rows = ceil(len(found) / columns)
+    width, height = detections[0].image_size
+    columns = ceil(sqrt(len(detections)))
+    rows = ceil(len(detections) / columns)
     panel = max(2.5, 8 / columns)
     new = new_axes(rows, columns, panel, 0.6 + panel * height / width) if ax is None else ax
     axes = np.ravel(new)
-    for unused in axes[len(found) :]:
+    for unused in axes[len(detections) :]:
         unused.set_axis_off()
-    ends = np.cumsum([len(each.points) for each in found])[:-1]
-    parts = [None] * len(found) if residuals is None else np.split(residuals, ends)
+    ends = np.cumsum([len(detection.points) for detection in detections])[:-1]
+    parts = [None] * len(detections) if residuals is None else np.split(residuals, ends)
     factor = 1.0
     if residuals is not None:  # which makes large residuals as long as marks lie apart
         large = np.quantile(np.hypot(*residuals.T), 0.95)
-        apart = np.sqrt(np.ptp(found[0].points, axis=0).prod() / len(found[0].points))
+        apart = np.sqrt(np.ptp(detections[0].points, axis=0).prod() / len(detections[0].points))
         factor = rounded_down(apart / large) if large > 0 else 1.0
-    for number, (panel_ax, each, part) in enumerate(zip(axes, found, parts, strict=False)):
+    for number, (panel_ax, detection, part) in enumerate(
+        zip(axes, detections, parts, strict=False)
+    ):
         if images is not None:
             show_image(panel_ax, images[number])
         else:
             panel_ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
-        _draw_view(panel_ax, each, part, factor, 5 if len(axes) == 1 else 2)
+        _draw_view(panel_ax, detection, part, factor, 5 if len(axes) == 1 else 2)
     return axes[0].figure
 
 
-def _draw_view(ax: Any, each: Any, residuals: NDArray | None, factor: float, labels: int) -> None:
-    ax.plot(*each.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
-    every = ceil((np.ptp(each.grid, axis=0).max() + 1) / labels)
-    labeled = (each.grid % every == 0).all(axis=1)
+def _draw_view(
+    ax: Any, detection: Any, residuals: NDArray | None, factor: float, labels: int
+) -> None:
+    ax.plot(*detection.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
+    every = ceil((np.ptp(detection.grid, axis=0).max() + 1) / labels)
+    labeled = (detection.grid % every == 0).all(axis=1)
     box = {"color": "white", "alpha": 0.6, "pad": 0.5}
-    for (x, y), (i, j) in zip(each.points[labeled], each.grid[labeled], strict=True):
+    for (x, y), (i, j) in zip(detection.points[labeled], detection.grid[labeled], strict=True):
         ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color="black", bbox=box)
-    title = f"{len(each.points)} points"
+    title = f"{len(detection.points)} points"
     if residuals is not None:
         scale = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
-        ax.quiver(*each.points.T, *(factor * residuals).T, **scale, color=OFF)
+        ax.quiver(*detection.points.T, *(factor * residuals).T, **scale, color=OFF)
         rms = np.sqrt((residuals**2).sum(axis=1).mean())
         title += f"\n{rms:.2g} px rms (red, × {factor:g})"
     ax.set_title(title)

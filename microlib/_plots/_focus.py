@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 from microlib._plots._axes import new_axes, rounded_down, show_image
 
 
-def maps(found: Any, ax: Any = None, unit: str = "µm") -> Any:
+def maps(result: Any, ax: Any = None, unit: str = "µm") -> Any:
     """Draw a FocusResult: all-in-focus image, height and uncertainty.
 
     With `ax` only the height is drawn. Lengths along the image are in px where the pixel size is
     not known. Return the figure.
     """
-    depth = np.asarray(found.depth)
+    depth = np.asarray(result.depth)
     rows, columns = depth.shape
     if ax is None:
         axes = new_axes(1, 3, 5.5, 0.4 + 5 * rows / columns)[0]
-        show_image(axes[0], found.all_in_focus)
+        show_image(axes[0], result.all_in_focus)
         axes[0].set_title("all in focus")
-        uncertainty = np.asarray(found.uncertainty)
+        uncertainty = np.asarray(result.uncertainty)
         _map(axes[2], uncertainty, "magma", f"uncertainty ({unit})", logarithmic=True)
         ax = axes[1]
     _map(ax, depth, "viridis", f"height ({unit})")
-    if found.pixel_size:
-        _scale_bar(ax, found.pixel_size, columns)
+    if result.pixel_size:
+        _scale_bar(ax, result.pixel_size, columns)
     return ax.figure
 
 

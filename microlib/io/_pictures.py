@@ -40,20 +40,22 @@ def image_files(path: Path) -> list[Path]:
     ValueError: frames must hold images, got none in no such folder/*.png
     """
     if path.is_dir():
-        found = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
+        files = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
     elif path.parent.is_dir():  # which may have brackets in its name
-        found = [*path.parent.glob(path.name)]
+        files = [*path.parent.glob(path.name)]
     else:
-        found = [Path(name) for name in glob.glob(str(path))]
-    found = sorted(file for file in found if file.name[0] != ".")
-    own = [file for file in found if _read_exif(file)[1] == SOFTWARE]
-    if own and len(own) < len(found):
-        warnings.warn(f"{', '.join(file.name for file in own)}: results, left out", stacklevel=2)
-        found = [file for file in found if file not in own]
-    if not found:
+        files = [Path(name) for name in glob.glob(str(path))]
+    files = sorted(file for file in files if file.name[0] != ".")
+    results = [file for file in files if _read_exif(file)[1] == SOFTWARE]
+    if results and len(results) < len(files):
+        warnings.warn(
+            f"{', '.join(file.name for file in results)}: results, left out", stacklevel=2
+        )
+        files = [file for file in files if file not in results]
+    if not files:
         check_exists(path)
         raise ValueError(f"frames must hold images, got none in {path}")
-    return found
+    return files
 
 
 def open_pictures(files: Sequence[Path]) -> Stack:
