@@ -136,8 +136,8 @@ def optimal_control(
         jacobian, interval=interval, feature_weight=feature_weight, control_weight=control_weight
     ).gain
     now = as_array("feature", feature, shape=(gain.shape[1],))
-    wanted = as_array("target", target, shape=(gain.shape[1],))
-    return gain @ (wanted - now)
+    goal = as_array("target", target, shape=(gain.shape[1],))
+    return gain @ (goal - now)
 
 
 def ibvs_control(
@@ -178,10 +178,10 @@ def ibvs_control(
     array([-4.,  4.])
     """
     matrix = full_rank(jacobian)
-    wanted = -scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
+    rate = -scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
     if drift is not None:
-        wanted = wanted - as_array("drift", drift, shape=(len(matrix),))
-    return np.linalg.pinv(matrix) @ wanted
+        rate = rate - as_array("drift", drift, shape=(len(matrix),))
+    return np.linalg.pinv(matrix) @ rate
 
 
 def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:

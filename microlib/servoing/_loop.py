@@ -58,8 +58,8 @@ _COLUMNS = (
 
 def new_row(time: float, phase: str, target: int) -> dict[str, Any]:
     """Return a row of the log without measurements."""
-    about = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
-    return dict.fromkeys(_COLUMNS, np.nan) | about
+    given = {"time_s": time, "phase": phase, "target": target, "lost": False, "event": ""}
+    return dict.fromkeys(_COLUMNS, np.nan) | given
 
 
 def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
@@ -102,8 +102,8 @@ class MotionCheck:
         size = float(np.linalg.norm(self._planned))
         if size < self._least_checked:
             return
-        apart = float(np.linalg.norm(measured - self._origin - self._planned))
-        self._mismatches = self._mismatches + 1 if apart > 0.5 * size else 0
+        deviation = float(np.linalg.norm(measured - self._origin - self._planned))
+        self._mismatches = self._mismatches + 1 if deviation > 0.5 * size else 0
         if self._mismatches == _MISMATCHES:
             moved = np.round(measured - self._origin, 2) + 0.0
             wanted = np.round(self._planned, 2) + 0.0
@@ -117,16 +117,16 @@ class MotionCheck:
 class Loop:
     """One run; its results are in `rows`, `motion` and `reached`."""
 
-    def __init__(self, workstation: Any, tracker: Any, settings: LoopOptions) -> None:
+    def __init__(self, workstation: Any, tracker: Any, options: LoopOptions) -> None:
         self.workstation = workstation
         self.rows: list[dict[str, Any]] = []
         self.motion = NOT_CALIBRATED
-        self.reached = np.zeros(len(settings.targets), dtype=bool)
-        self._tracker, self._settings = tracker, settings
+        self.reached = np.zeros(len(options.targets), dtype=bool)
+        self._tracker, self._options = tracker, options
         self._origin: float | None = None
         self._start: Array = np.zeros(2)
         self._lost = 0
-        self._motion_check = MotionCheck(_LEAST_CHECKED * settings.tolerance)
+        self._motion_check = MotionCheck(_LEAST_CHECKED * options.tolerance)
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
@@ -144,13 +144,13 @@ class Loop:
             self._report(first)
             self.motion = replace(NOT_CALIBRATED, jacobian=jacobian)
         self._check_targets(first.measured)
-        for number, reference in enumerate(self._settings.targets):
+        for number, reference in enumerate(self._options.targets):
             self._servo_to(number, reference)
 
     def _check_targets(self, feature: Array) -> None:
         """End the run if a target is beyond the travel."""
-        travel = USED * self._settings.travel
-        needed = np.linalg.solve(self.motion.jacobian, (self._settings.targets - feature).T).T
+        travel = USED * self._options.travel
+        needed = np.linalg.solve(self.motion.jacobian, (self._options.targets - feature).T).T
         beyond = (np.abs(needed) > travel).any(axis=1)
         if beyond.any():
             number = int(beyond.argmax())
@@ -181,27 +181,26 @@ class Loop:
         covariance = np.asarray(getattr(track, "covariance", np.zeros((2, 2))), dtype=float)
         return Observation(row, position, measured, covariance)
 
-    def _report(self, seen: Observation) -> None:
-        if self._settings.progress is not None:
-            self._settings.progress(dict(seen.row))
+    def _report(self, observation: Observation) -> None:
+        if self._options.progress is not None:
+            self._options.progress(dict(observation.row))
 
     def _calibrate(self, first: Observation) -> None:
         observed = [first]
-        for offset in calibration_moves(self._settings.test_move):
+        for offset in calibration_moves(self._options.test_move):
             self._go(observed[-1].row, self._start + offset)
             self._report(observed[-1])
-            seen = self._observe("calibration", -1)
-            if not np.isfinite(seen.measured).all():
-                raise EndRun(
-                    f"lost: {seen.row['event']} at a test move of {self._settings.test_move:g} µm"
-                )
-            observed.append(seen)
+            observation = self._observe("calibration", -1)
+            if not np.isfinite(observation.measured).all():
+                event, size = observation.row["event"], self._options.test_move
+                raise EndRun(f"lost: {event} at a test move of {size:g} µm")
+            observed.append(observation)
         self._report(observed[-1])
         self.motion = fit_motion(
-            np.array([one.row["time_s"] for one in observed]),
-            np.array([one.position for one in observed]) - self._start,
-            np.array([one.measured for one in observed]),
-            np.array([one.covariance for one in observed]),
+            np.array([each.row["time_s"] for each in observed]),
+            np.array([each.position for each in observed]) - self._start,
+            np.array([each.measured for each in observed]),
+            np.array([each.covariance for each in observed]),
         )
         if not self.motion.relative_error <= MOST_RELATIVE_ERROR:  # NaN is no calibration
             raise EndRun(
@@ -212,57 +211,57 @@ class Loop:
     def _servo_to(self, number: int, reference: Array) -> None:
         """Bring the feature within the tolerance of one target."""
         for _ in range(_MOST_FRAMES):
-            seen = self._observe("servo", number, reference)
-            if not self._is_seen(seen):
+            observation = self._observe("servo", number, reference)
+            if not self._is_seen(observation):
                 continue
-            if np.linalg.norm(reference - seen.measured) <= self._settings.tolerance:
+            if np.linalg.norm(reference - observation.measured) <= self._options.tolerance:
                 self.reached[number] = True
-                add_event(seen.row, "reached")
-                self._report(seen)
+                add_event(observation.row, "reached")
+                self._report(observation)
                 return
-            self._move(seen, reference)
-            self._report(seen)
+            self._move(observation, reference)
+            self._report(observation)
         raise EndRun(f"target {number} was not reached in {_MOST_FRAMES} frames")
 
-    def _is_seen(self, seen: Observation) -> bool:
+    def _is_seen(self, observation: Observation) -> bool:
         """Return whether the feature is measured; end the run after too many frames without it."""
-        if np.isfinite(seen.measured).all():
+        if np.isfinite(observation.measured).all():
             self._lost = 0
-            self._motion_check.update(seen.measured)
+            self._motion_check.update(observation.measured)
             return True
-        self._report(seen)
+        self._report(observation)
         self._lost += 1
         if self._lost == _MOST_LOST:
-            raise EndRun(f"lost: {seen.row['event']} in {self._lost} frames in a row")
+            raise EndRun(f"lost: {observation.row['event']} in {self._lost} frames in a row")
         return False
 
-    def _move(self, seen: Observation, goal: Array) -> None:
+    def _move(self, observation: Observation, goal: Array) -> None:
         """Move to where the goal is by J, within the limits."""
-        settings = self._settings
-        way = np.linalg.solve(self.motion.jacobian, goal - seen.measured)
-        length = float(np.linalg.norm(way))
-        if settings.longest_move is not None and length > settings.longest_move:
-            way = way * (settings.longest_move / length)
-            add_event(seen.row, "limit")
-        room = USED * settings.travel
-        target = np.clip(seen.position + way, self._start - room, self._start + room)
-        if (target != seen.position + way).any():
-            add_event(seen.row, "travel")
-        self._go(seen.row, target)
-        self._motion_check.predict(self.motion.jacobian @ (target - seen.position))
+        options = self._options
+        move = np.linalg.solve(self.motion.jacobian, goal - observation.measured)
+        length = float(np.linalg.norm(move))
+        if options.longest_move is not None and length > options.longest_move:
+            move = move * (options.longest_move / length)
+            add_event(observation.row, "limit")
+        travel = USED * options.travel
+        target = np.clip(observation.position + move, self._start - travel, self._start + travel)
+        if (target != observation.position + move).any():
+            add_event(observation.row, "travel")
+        self._go(observation.row, target)
+        self._motion_check.predict(self.motion.jacobian @ (target - observation.position))
 
     def _go(self, row: dict[str, Any], target: Array) -> None:
         """Send the stage and wait until it stands there."""
         put(row, "command", target, "um")
         self.workstation.stage.move_to(target)
-        wait_until_still(self.workstation, self._settings.timeout, self._check_travel)
+        wait_until_still(self.workstation, self._options.timeout, self._check_travel)
         self._check_travel()
 
     def _check_travel(self) -> None:
         """End the run if the stage is beyond the travel."""
         position = np.asarray(self.workstation.stage.position(), dtype=float)
-        if (np.abs(position - self._start) > self._settings.travel).any():
+        if (np.abs(position - self._start) > self._options.travel).any():
             raise EndRun(
-                f"the stage is beyond the travel of ±{self._settings.travel} µm, at "
+                f"the stage is beyond the travel of ±{self._options.travel} µm, at "
                 f"{np.round(position - self._start, 2)} µm from the start"
             )

@@ -105,8 +105,8 @@ def step_metrics(
     settled = int(outside[-1]) + 1
     if settled == len(t):
         return StepMetrics(np.nan, overshoot, np.nan, np.nan)
-    rest = error[settled:]
-    return StepMetrics(float(t[settled] - t[0]), overshoot, float(rest[0]), float(rest.std()))
+    after = error[settled:]
+    return StepMetrics(float(t[settled] - t[0]), overshoot, float(after[0]), float(after.std()))
 
 
 def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
@@ -134,7 +134,7 @@ def path_metrics(position: ArrayLike, reference: ArrayLike) -> PathMetrics:
     >>> path_metrics([[0, 0], [3, 4]], [[0, 0], [0, 0]])
     PathMetrics(accuracy=2.5, precision=2.5, largest=5.0)
     """
-    wanted = as_array("reference", reference, shape=(None, None))
-    x = as_array("position", position, shape=wanted.shape)
-    error = np.linalg.norm(x - wanted, axis=1)
+    references = as_array("reference", reference, shape=(None, None))
+    x = as_array("position", position, shape=references.shape)
+    error = np.linalg.norm(x - references, axis=1)
     return PathMetrics(float(error.mean()), float(error.std()), float(error.max()))

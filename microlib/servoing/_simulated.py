@@ -85,9 +85,10 @@ class SimulatedWorkstation:
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
         self.stage = _SimulatedStage(stage)
-        self.clock = _VirtualClock(self.stage)
+        self.clock = SimpleNamespace(now=lambda: self._now, sleep=self._sleep)
         self.camera = SimpleNamespace(snap=self._snap)
         self._render, self._model, self._rng = render, camera, generator("rng", rng)
+        self._now = 0.0
         self._next = -np.inf  # time of the earliest next exposure
 
     @property
@@ -95,6 +96,10 @@ class SimulatedWorkstation:
         """Where the feature truly is now, (x, y) in px."""
         moved = self._jacobian @ self.stage.position()
         return self._home + moved + self._drift * self.clock.now()
+
+    def _sleep(self, seconds: float) -> None:
+        self._now += seconds
+        self.stage.advance(seconds)
 
     def _snap(self) -> tuple[NDArray[Any], float]:
         self.clock.sleep(max(0.0, self._next - self.clock.now()))
@@ -129,22 +134,7 @@ class _SimulatedStage:
 
     def advance(self, duration: float) -> None:
         """Move on by `duration` s."""
-        step = self._model.saturation * duration
-        way = self._target - self._position
-        near = np.abs(way) <= step
-        self._position = np.where(near, self._target, self._position + np.sign(way) * step)
-
-
-class _VirtualClock:
-    """Time that passes when it is waited for."""
-
-    def __init__(self, stage: _SimulatedStage) -> None:
-        self._now = 0.0
-        self._stage = stage
-
-    def now(self) -> float:
-        return self._now
-
-    def sleep(self, seconds: float) -> None:
-        self._now += seconds
-        self._stage.advance(seconds)
+        reach = self._model.saturation * duration
+        remaining = self._target - self._position
+        moved = self._position + np.sign(remaining) * reach
+        self._position = np.where(np.abs(remaining) <= reach, self._target, moved)

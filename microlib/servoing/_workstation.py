@@ -175,21 +175,21 @@ def simulate(
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
-    wanted = as_array("reference", reference, shape=(None, 2))
+    references = as_array("reference", reference, shape=(None, 2))
     matrix = as_array("jacobian", jacobian)
     runs = matrix.shape[:-2]
     matrix = full_rank(matrix, (*runs, 2, 2))
-    origin = wanted[0] if start is None else as_array("start", start)
+    origin = references[0] if start is None else as_array("start", start)
     origin = as_array("start", origin, shape=(2,) if origin.ndim < 2 else (*runs, 2))
-    way = np.swapaxes(wanted - origin[..., None, :], -1, -2)
-    needed = np.abs(np.linalg.solve(matrix, way)).max()
+    displacements = np.swapaxes(references - origin[..., None, :], -1, -2)
+    needed = np.abs(np.linalg.solve(matrix, displacements)).max()
     if needed > stage.travel:
         raise ValueError(
             f"reference must lie within ±{stage.travel:g} µm of the start, got {needed:.0f} µm"
         )
-    count = len(wanted)
+    count = len(references)
     if isinstance(rng, (list, tuple)):
-        noise = np.array([generator("rng", one).standard_normal((count, 2)) for one in rng])
+        noise = np.array([generator("rng", each).standard_normal((count, 2)) for each in rng])
     else:
         noise = generator("rng", rng).standard_normal((*runs, count, 2))
     jitter = as_array("rng", camera.jitter * noise, shape=(*runs, count, 2))
@@ -203,15 +203,15 @@ def simulate(
     for k in range(count):
         positions[k] = stage.rounded(position)
         feature[k] = origin + (matrix @ positions[k][..., None])[..., 0]
-        seen = feature[k] + jitter[..., k, :]
-        measured[k] = seen if observer is None else observer(seen)
-        command = as_array("command", controller(k, measured[k], wanted), shape=(*runs, 2))
+        shaken = feature[k] + jitter[..., k, :]
+        measured[k] = shaken if observer is None else observer(shaken)
+        command = as_array("command", controller(k, measured[k], references), shape=(*runs, 2))
         saturated[k] = (np.abs(command) > stage.saturation).any(axis=-1)
         commands[k + first] = np.clip(command, -stage.saturation, stage.saturation)
         position = position + camera.interval * (part * commands[k] + (1 - part) * commands[k + 1])
     return Simulation(
         time=camera.interval * np.arange(count),
-        reference=wanted,
+        reference=references,
         feature=np.moveaxis(feature, 0, -2),
         measured=np.moveaxis(measured, 0, -2),
         position=np.moveaxis(positions, 0, -2),

@@ -465,9 +465,9 @@ def embryo_image(
     blank = np.zeros((rows, columns), dtype=np.uint8)
     frame = EmbryoImage(blank, embryo, pixel_size, (x, y), tilt)
 
-    rest = np.sqrt(blur**2 - _DRAWN_BLUR**2) * _SUPERSAMPLING
+    remaining = np.sqrt(blur**2 - _DRAWN_BLUR**2) * _SUPERSAMPLING
     drawn = _draw(frame, rng, probe)
-    blurred = cv2.GaussianBlur(drawn, (0, 0), rest, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.GaussianBlur(drawn, (0, 0), remaining, borderType=cv2.BORDER_REPLICATE)
     clean = cv2.resize(blurred, (columns, rows), interpolation=cv2.INTER_AREA)
     lit = clean * _light((rows, columns), unevenness, rng)
     return replace(frame, image=eight_bits(lit + rng.normal(0.0, noise, lit.shape)))

@@ -57,7 +57,7 @@ def begun(u) -> servoing.SimulatedWorkstation:
     found.clock.sleep(u.t0)
     found.stage.move_to(np.array([u.x0_um, u.y0_um]))
     found.clock.sleep(100.0 * u.s)  # until it is there
-    found.clock._now = u.t0
+    found._now = u.t0
     return found
 
 
