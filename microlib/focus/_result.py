@@ -192,17 +192,16 @@ def build_result(
     # A depth at an end of the scan may lie beyond it: it is as uncertain as a random depth.
     z = np.asarray(stack.positions)
     low, high = np.float32(z.min()), np.float32(z.max())
-    to_end = np.minimum(found.depth - low, high - found.depth)
-    beyond = found.at_end & (to_end < found.spacing / 2)
-    random = np.float32((high - low) / np.sqrt(12))
-    uncertainty = np.where(beyond, np.hypot(found.uncertainty, random), found.uncertainty)
+    depth, uncertainty = found.depth[found.at_end], found.uncertainty.copy()
+    beyond = np.minimum(depth - low, high - depth) < found.spacing / 2
+    random = np.where(beyond, (high - low) / np.float32(np.sqrt(12)), 0)
+    uncertainty[found.at_end] = np.hypot(uncertainty[found.at_end], random)
     relative = uncertainty / np.float32(found.spacing)
-    index = numbers[index].astype(np.int32)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
         confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
-        index=np.where(known, index, -1).astype(np.int32),
+        index=np.where(known, numbers.astype(np.int32)[index], np.int32(-1)),
         all_in_focus=as_type(composite(stack, found.frame), dtype),
         at_end=found.at_end,
         pixel_size=stack.pixel_size,

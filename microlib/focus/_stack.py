@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations, islice, product
+from itertools import combinations, islice
 
 import cv2
 import numpy as np
@@ -140,9 +140,12 @@ def _from_neighbors(level: Array, k: int) -> tuple[float, float]:
 def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
     """Return the pixels in the black margin of some frame, as programs that align frames leave."""
     margin = np.zeros(frames[0].shape, bool)
-    for frame, turn in product(frames, range(4)):
-        turned, dark = np.rot90(frame, turn), 0.03 * cv2.mean(frame)[0]
-        if turned[0].mean() <= dark:  # JPEG leaves 2 grey levels beside an edge
+    for frame in frames:
+        dark = 0.03 * cv2.mean(frame)[0]  # JPEG leaves 2 grey levels beside an edge
+        for turn in range(4):
+            turned = np.rot90(frame, turn)
+            if turned[0].mean() > dark:
+                continue
             lines = turned.mean(axis=1) > dark
             first = int(np.argmax(lines))
             inside = turned[min(first + 1, len(turned) - 1)] > 3 * dark

@@ -76,22 +76,23 @@ def _plane_shift(
     basis = (np.stack([np.ones(len(x)), x, y, x * x, y * y, x * y]) * share).astype(np.float32)
     out = np.empty((rows, cols), np.float32)
 
-    def fit(corner: tuple[int, int]) -> None:
-        top, left = corner
-        tile = out[top : top + _TILE[0], left : left + _TILE[1]]
-        gaps, weights = (
-            sliding_window_view(image, tile.shape)[top + reach + y, left + reach + x]
-            for image in (value, mass)
-        )
-        gaps -= value[top + reach :, left + reach :][: len(tile), : len(tile[0])]
-        weights *= tukey_weights(gaps, 1.0)  # of the differences in jumps
-        gaps *= weights
-        # One product for each row.
-        moments = np.moveaxis(basis @ np.moveaxis(weights, 1, 0), 1, 0)
-        raised = np.moveaxis(basis[:3] @ np.moveaxis(gaps, 1, 0), 1, 0)
-        tile[:] = _plane_height(moments, raised, sigma)
+    def fit(corners: list[tuple[int, int]]) -> None:
+        for top, left in corners:
+            tile = out[top : top + _TILE[0], left : left + _TILE[1]]
+            gaps, weights = (
+                sliding_window_view(image, tile.shape)[top + reach + y, left + reach + x]
+                for image in (value, mass)
+            )
+            gaps -= value[top + reach :, left + reach :][: len(tile), : len(tile[0])]
+            weights *= tukey_weights(gaps, 1.0)  # of the differences in jumps
+            gaps *= weights
+            # One product for each row.
+            moments = np.moveaxis(basis @ np.moveaxis(weights, 1, 0), 1, 0)
+            raised = np.moveaxis(basis[:3] @ np.moveaxis(gaps, 1, 0), 1, 0)
+            tile[:] = _plane_height(moments, raised, sigma)
 
-    list(spread(fit, product(range(0, rows, _TILE[0]), range(0, cols, _TILE[1]))))
+    corners = list(product(range(0, rows, _TILE[0]), range(0, cols, _TILE[1])))
+    list(spread(fit, [corners[k::16] for k in range(16)]))
     return out
 
 

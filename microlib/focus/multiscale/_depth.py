@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus.common import DepthMap, doubled
+from microlib.focus.common import DepthMap, Spread, doubled
 from microlib.focus.multiscale._axis import Axis, describe_axis
 from microlib.focus.multiscale._fits import fit_stack
-from microlib.focus.multiscale._maps import typical
+from microlib.focus.multiscale._maps import fill_nearest, typical
 from microlib.focus.multiscale._peaks import find_peaks
-from microlib.focus.multiscale._refine import enlarge, refine
+from microlib.focus.multiscale._refine import Refined, refine
 from microlib.focus.multiscale._rules import RULES, Rule
 from microlib.focus.multiscale._settings import FocusSettings
 
 DEFAULT = FocusSettings()
+#: Rows of the grid of every second pixel that are enlarged at a time.
+_BAND = 64
 
 
 def multiscale_depth(
@@ -62,27 +64,34 @@ def multiscale_depth(
         for rule in rules:
             peaks = peaks.without(rule(peaks, settings))
         refined = refine(peaks, fits, axis, settings, strength, spread=spread)
-    full, known = enlarge(refined, frames[0].shape)
-    depth = np.where(known, full, np.float32(np.nan))
-    error = doubled(refined.error, full.shape)
-    part = slice(shape[0]), slice(shape[1])
-    return _depth_map(depth[part], error[part], fits.best, axis)
+        return _enlarged(refined, fits.best, axis, shape, spread)
 
 
-def _depth_map(depth: NDArray, error: NDArray, best: NDArray, axis: Axis) -> DepthMap:
-    """Return depth and error in µm, and the frame numbers."""
-    depth = axis.micrometers(depth)
-    error = error * np.float32(axis.spacing)
-    if axis.symmetry.bend:  # frame coordinates are not proportional to positions
-        error /= axis.symmetry.slope(depth)
-    best = doubled(best, depth.shape, cv2.INTER_NEAREST)
-    order = np.argsort(axis.positions)
-    nearest = np.rint(np.interp(depth, axis.positions[order], order))
-    middle = (axis.ends[:-1] + axis.ends[1:]) // 2
-    return DepthMap(
-        depth=depth,
-        uncertainty=np.asarray(error, np.float32),
-        frame=np.where(np.isfinite(depth), nearest, middle[best]).astype(np.int32),
-        at_end=(best == 0) | (best == len(axis.coordinates) - 1),
-        spacing=axis.spacing,
-    )
+def _enlarged(
+    refined: Refined, best: NDArray, axis: Axis, shape: tuple[int, ...], spread: Spread
+) -> DepthMap:
+    """Return the depth of every pixel in µm, computed in bands of rows."""
+    unknown = np.isnan(refined.depth)
+    filled, relief = fill_nearest(refined.depth), np.where(unknown, 0, refined.relief)
+    order, middle = np.argsort(axis.positions), (axis.ends[:-1] + axis.ends[1:]) // 2
+
+    def band(top: int) -> tuple[NDArray, ...]:
+        start = max(top - 2, 0)  # two rows are the reach of the interpolation
+        own = slice(2 * (top - start), 2 * (top - start + _BAND))
+
+        def full(half: NDArray, how: int = cv2.INTER_LINEAR) -> NDArray:
+            return doubled(half[start : top + _BAND + 2], shape, how)[own]
+
+        depth = axis.micrometers(full(filled) + full(relief, cv2.INTER_CUBIC))
+        depth[full(unknown.astype(np.uint8), cv2.INTER_NEAREST) > 0] = np.nan
+        error = full(refined.error) * np.float32(axis.spacing)
+        if axis.symmetry.bend:  # frame coordinates are not proportional to positions
+            error /= axis.symmetry.slope(depth)
+        number = full(best, cv2.INTER_NEAREST)
+        nearest = np.rint(np.interp(depth, axis.positions[order], order))
+        frame = np.where(np.isfinite(depth), nearest, middle[number]).astype(np.int32)
+        return depth, error, frame, (number == 0) | (number == len(axis.coordinates) - 1)
+
+    bands = zip(*spread(band, range(0, len(filled), _BAND)), strict=True)
+    depth, error, frame, at_end = (np.concatenate(parts)[: shape[0]] for parts in bands)
+    return DepthMap(depth, error, frame, at_end, axis.spacing)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import Spread, doubled, smooth_planes
+from microlib.focus.common import Spread, smooth_planes
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, relative
@@ -85,11 +85,3 @@ def thin_object_error(
     alone = cv2.boxFilter(apart, -1, (3, 3), normalize=False) < 2
     gap[(apart == 0) | alone] = 0
     return np.asarray(0.5 * cv2.dilate(gap, np.ones((9, 9), np.uint8)))
-
-
-def enlarge(refined: Refined, shape: tuple[int, ...]) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return the depth at full size and where it is known."""
-    known = np.isfinite(refined.depth)
-    relief = np.where(known, refined.relief, np.float32(0))
-    full = doubled(fill_nearest(refined.depth), shape) + doubled(relief, shape, cv2.INTER_CUBIC)
-    return full, doubled(known.astype(np.uint8), shape, cv2.INTER_NEAREST) > 0
