@@ -99,8 +99,6 @@ def check_bounds(
 
 def as_map(name: str, value: ArrayLike) -> Array:
     """Return a map of shape (rows, cols) whose values are finite, or NaN where unknown."""
-    if isinstance(value, np.ma.MaskedArray):
-        raise ArgumentError(name, "must be without a mask: give its .filled(np.nan), as float")
     array = as_array(name, value, shape=(None, None), finite=False)
     if count := int(np.isinf(array).sum()):
         raise ArgumentError(name, f"must be finite or NaN, got {count} infinite")
@@ -111,7 +109,9 @@ def reject_masks(name: str, value: object) -> None:
     """Raise for a masked array, or a sequence of them."""
     parts = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(part, np.ma.MaskedArray) for part in parts):
-        raise ArgumentError(name, "must be without a mask: cut the masked values out")
+        raise ArgumentError(
+            name, "must be without a mask: give its .filled(np.nan), or cut the values out"
+        )
 
 
 def scalar(name: str, value: object, **bounds: float | None) -> float:

@@ -52,10 +52,10 @@ def in_order(files: Sequence[Path]) -> list[Path]:
 def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> None:
     """Reject files of several axes; warn of files that may be missing or of another series."""
     if len({tuple(each[::2]) for each in parts}) > 1:
-        names = [file.name for file in files]
-        shown = ", ".join(names if len(names) < 5 else [*names[:3], "…", names[-1]])
+        first, *_, last = (file.name for file in files)
         warnings.warn(
-            f"names differ in more than numbers, frames are read as {shown}", stacklevel=2
+            f"names differ in more than numbers, frames are read from {first} to {last}",
+            stacklevel=3,
         )
         return
     columns = [
@@ -75,6 +75,6 @@ def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> Non
                 warnings.warn(
                     f"no frame between {before.name} and {after.name}: if one is missing, all "
                     "positions and times after it are wrong",
-                    stacklevel=2,
+                    stacklevel=3,
                 )
                 break

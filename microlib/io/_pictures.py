@@ -110,24 +110,24 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
 
 
 def open_film(path: Path) -> Stack:
-    """Return the frames of a video, whose number in the header is checked when they are read."""
+    """Return the frames of a video; the number in its header is checked when they are read."""
     film = cv2.VideoCapture(str(path))
     if not film.isOpened():
         raise ValueError(f"frames cannot be read from {path}: not a video that OpenCV can read")
-    stated = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    stated = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if path.suffix.lower() in _INDEXED else 0
     film.release()
-    indexed = stated > 0 and path.suffix.lower() in _INDEXED
 
     def read() -> Iterator[NDArray]:
         film, count = cv2.VideoCapture(str(path)), 0
         while (answer := film.read())[0]:
             yield cv2.cvtColor(answer[1], cv2.COLOR_BGR2RGB)
             count += 1
-        numbers = f"{path}: its header has {stated} frames, {count} can be read"
-        if count == 0 or (indexed and count < stated):
-            raise ValueError(f"frames cannot be read from {numbers}")
-        if count != stated:
-            warnings.warn(numbers, stacklevel=2)
+        if count < max(stated, 1):
+            raise ValueError(
+                f"frames cannot be read from {path}: its header has {stated} frames, {count} can "
+                "be read"
+            )
 
-    number = stated if indexed else None
-    return open_stack(read, name=lambda k: f"frame {k} of {path}", count=number, files=(path,))
+    return open_stack(
+        read, name=lambda k: f"frame {k} of {path}", count=stated or None, files=(path,)
+    )

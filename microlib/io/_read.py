@@ -99,10 +99,9 @@ def read_frames(
     Warns
     -----
     UserWarning
-        If a video has another number of frames than its header says; if the names of files differ
-        in more than numbers, or in one number that is not evenly spaced; if pixels are not square,
-        or positions and spacing in the metadata disagree; if photographs have several orientations;
-        if results of this library in a folder are left out.
+        If the names of files differ in more than numbers, or in one number that is not evenly
+        spaced; if pixels are not square, or positions and spacing in the metadata disagree; if
+        photographs have several orientations; if results of this library in a folder are left out.
 
     Examples
     --------

@@ -92,10 +92,10 @@ def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names
     ("names", "words"),
     [
         # Names that differ in more than numbers.
-        (["far", "middle", "near"], r"read as far\.png, middle\.png, near\.png$"),
-        (["a1", "a2", "a10", "b1", "b2"], r"read as a1\.png, a2\.png, a10\.png, …, b2\.png$"),
-        (["expected", "pcb_1", "pcb_2", "pcb_3"], "read as expected"),
-        (["z1mm", "z2mm", "z500um"], "read as z1mm"),
+        (["far", "middle", "near"], r"are read from far\.png to near\.png$"),
+        (["a1", "a2", "a10", "b1", "b2"], r"are read from a1\.png to b2\.png$"),
+        (["expected", "pcb_1", "pcb_2", "pcb_3"], r"are read from expected\.png to pcb_3"),
+        (["z1mm", "z2mm", "z500um"], r"are read from z1mm\.png to z500um"),
         # Numbers that are missing.
         (["a1", "a2", "a4"], r"no frame between a2\.png and a4\.png: if one is missing"),
         (["a1", "a3", "a4"], r"no frame between a1\.png and a3"),
