@@ -22,7 +22,7 @@ class End(NamedTuple):
     reason: str = ""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Session:
     """The messages and the files of one run.
 
