@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.calibration._detection import MIN_MARKS
-from microlib.calibration.detection._grid_map import GridIndex, GridMap, map_centers
+from microlib.calibration.detection._grid_map import GridIndex, map_centers
 from microlib.calibration.detection._image import CELL, GreyImage
 from microlib.calibration.detection._lattice import MarkLattice, fill, grow_pieces, neighbors
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import OutlineFit
-from microlib.calibration.detection._pattern import FittedMarks, Pattern
+from microlib.calibration.detection._pattern import FittedLattice, Pattern
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.calibration.detection._shapes import MarkPoints, fit_crossings, line_crossings
 
@@ -71,12 +71,10 @@ class Chessboard(Pattern):
     def locate(self, outlines: OutlineFit) -> MarkPoints:
         return line_crossings(outlines)
 
-    def side(self, positions: Array) -> float:
+    def side(self, lattice: FittedLattice) -> float:
         return 1.0
 
-    def check(
-        self, image: GreyImage, fitted: FittedMarks, to_image: GridMap, positions: Array
-    ) -> None:
+    def check(self, lattice: FittedLattice) -> None:
         """Do nothing, because the search has compared the image with the drawn board."""
 
     def _grow_board(self, image: GreyImage, blur: float) -> tuple[Array, GridIndex]:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from microlib._common import Array
-from microlib.calibration.detection._grid_map import GridMap
 from microlib.calibration.detection._image import CELL, GreyImage
-from microlib.calibration.detection._lattice import MarkLattice, search_lattices
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import BLUR, CONTRAST, SLOPES, OutlineFit
-from microlib.calibration.detection._pattern import FittedMarks, Pattern, check_surroundings
+from microlib.calibration.detection._pattern import FittedLattice, Pattern, check_surroundings
 from microlib.calibration.detection._shapes import (
     MarkPoints,
     are_round,
@@ -29,9 +25,6 @@ class Circles(Pattern):
     shown = "a grid of whole circles"
     smooth = (BLUR, CONTRAST, *SLOPES)
 
-    def search(self, image: GreyImage) -> Iterator[MarkLattice]:
-        return search_lattices(image, self.settings)
-
     def fit(self, image: GreyImage, marks: Marks, steps: Array) -> OutlineFit:
         if not are_round(image, marks, steps, self.settings):
             raise ValueError("image must show circles, got squares")
@@ -40,19 +33,17 @@ class Circles(Pattern):
     def locate(self, outlines: OutlineFit) -> MarkPoints:
         return ellipse_centers(outlines)
 
-    def bias(self, fitted: FittedMarks, to_image: GridMap, positions: Array) -> Array:
+    def bias(self, lattice: FittedLattice) -> Array:
         """Center of the image of each circle minus the image of its center, px."""
-        turn = np.linspace(0, 2 * np.pi, 4, endpoint=False)
+        to_image, positions = lattice.to_image, lattice.positions
         # The mean of a cubic polynomial over a disc is its mean over these four points.
-        radius = _radius(fitted, to_image) / np.sqrt(2)
-        within = positions + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+        ring = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]) / np.sqrt(2)
+        within = positions + _radius(lattice) * ring
         weight = to_image.scale(within)[..., None]
         center = (weight * to_image(within)).sum(axis=1) / weight.sum(axis=1)
         return center[:, None] - to_image(positions)
 
-    def check(
-        self, image: GreyImage, fitted: FittedMarks, to_image: GridMap, positions: Array
-    ) -> None:
+    def check(self, lattice: FittedLattice) -> None:
         """Raise an error if the circles differ in shape, or lie on another lattice than a square
         one, or are not apart from each other.
 
@@ -60,8 +51,8 @@ class Circles(Pattern):
         of all circles. It is the metric of the coordinates, which the centers alone do not
         determine.
         """
-        ellipses, steps = ellipse_matrices(fitted.outlines), to_image.steps(fitted.grid)
-        in_lattice = np.linalg.inv(steps) @ ellipses
+        steps = lattice.to_image.steps(lattice.marks.grid)
+        in_lattice = np.linalg.inv(steps) @ ellipse_matrices(lattice.marks.outlines)
         metrics = in_lattice @ in_lattice.transpose(0, 2, 1)
         metric = np.median(metrics, axis=0)
         deviation = np.linalg.norm(metrics - metric, axis=(1, 2)) / np.linalg.norm(metric)
@@ -75,11 +66,10 @@ class Circles(Pattern):
                 f"image must show circles on a square lattice, got steps of 1 : {ratio:.2f} at "
                 f"{np.rad2deg(np.arccos(cosine)):.0f}°"
             )
-        drawn = np.hypot(*CELL.T) < _radius(fitted, to_image)
-        check_surroundings(self, image, fitted.points.mean(axis=1), steps, drawn)
+        check_surroundings(self, lattice, np.hypot(*CELL.T) < _radius(lattice))
 
 
-def _radius(fitted: FittedMarks, to_image: GridMap) -> float:
+def _radius(lattice: FittedLattice) -> float:
     """Median radius of the circles, in pitches."""
-    areas = np.abs(np.linalg.det(ellipse_matrices(fitted.outlines)))
-    return float(np.sqrt(np.median(areas / to_image.scale(fitted.grid))))
+    areas = np.abs(np.linalg.det(ellipse_matrices(lattice.marks.outlines)))
+    return float(np.sqrt(np.median(areas / lattice.to_image.scale(lattice.marks.grid))))

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,12 @@ from microlib.calibration.detection._grid_map import (
     map_centers,
 )
 from microlib.calibration.detection._image import CELL, GreyImage
-from microlib.calibration.detection._lattice import MarkLattice, fill, index_basis
+from microlib.calibration.detection._lattice import (
+    MarkLattice,
+    fill,
+    index_basis,
+    search_lattices,
+)
 from microlib.calibration.detection._marks import Marks, Rows
 from microlib.calibration.detection._outlines import BLUR, OutlineFit, smooth_parameters
 from microlib.calibration.detection._settings import DetectionSettings
@@ -56,6 +61,27 @@ class FittedMarks(Rows):
     points: Array
     uncertainty: Array
     outlines: OutlineFit
+
+
+class FittedLattice(NamedTuple):
+    """Fitted marks with the map from the lattice to their points.
+
+    Attributes
+    ----------
+    image : GreyImage
+        Image in which the marks are dark.
+    marks : FittedMarks
+        The n marks.
+    to_image : GridMap
+        Map from coordinates in the lattice to the image, fitted to the points.
+    positions : ndarray, shape (n, k, 2)
+        Coordinates of the points in the lattice.
+    """
+
+    image: GreyImage
+    marks: FittedMarks
+    to_image: GridMap
+    positions: Array
 
 
 @dataclass(frozen=True)
@@ -87,9 +113,9 @@ class Pattern(ABC):
         """Largest rms deviation of points from a smooth image of the lattice, in pitches."""
         return self.settings.max_residual
 
-    @abstractmethod
     def search(self, image: GreyImage) -> Iterator[MarkLattice]:
         """Lattices of marks that may be the pattern, the most likely first."""
+        return search_lattices(image, self.settings)
 
     @abstractmethod
     def fit(self, image: GreyImage, marks: Marks, steps: Array) -> OutlineFit:
@@ -103,22 +129,17 @@ class Pattern(ABC):
     def locate(self, outlines: OutlineFit) -> MarkPoints:
         """Points of the outlines."""
 
-    def bias(self, fitted: FittedMarks, to_image: GridMap, positions: Array) -> Array:
-        """Points minus the images of the points of the pattern, (n, k, 2), px.
+    def bias(self, lattice: FittedLattice) -> Array:
+        """Points minus the images of the points of the pattern, (n, k, 2), px."""
+        return np.zeros_like(lattice.positions)
 
-        `to_image` is fitted to the points, of which `positions` are the coordinates, (n, k, 2).
-        """
-        return np.zeros_like(fitted.points)
-
-    def side(self, positions: Array) -> float:
-        """Side of the squares in pitches; NaN for other marks."""
+    def side(self, lattice: FittedLattice) -> float:
+        """Side of the marks in pitches; NaN for marks without one."""
         return np.nan
 
     @abstractmethod
-    def check(
-        self, image: GreyImage, fitted: FittedMarks, to_image: GridMap, positions: Array
-    ) -> None:
-        """Raise an error if the image does not show the pattern; see `bias`."""
+    def check(self, lattice: FittedLattice) -> None:
+        """Raise an error if the image does not show the pattern."""
 
 
 def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, Detection]:
@@ -163,8 +184,8 @@ def _detect(pattern: Pattern, lattice: MarkLattice) -> Detection:
     while True:
         if len(fitted.grid) < MIN_MARKS:
             raise ValueError(f"image must show a plane grid, got {len(fitted.grid)} marks of one")
-        to_image, positions = fit_grid_map(fitted.points, fitted.grid, offsets, shape)
-        points = fitted.points - pattern.bias(fitted, to_image, positions)
+        biased = fit_grid_map(fitted.points, fitted.grid, offsets, shape)
+        points = fitted.points - pattern.bias(FittedLattice(image, fitted, *biased))
         to_image, positions = fit_grid_map(points, fitted.grid, offsets, shape)
         test = check_residuals(
             points, positions, to_image, fitted.uncertainty, pattern.max_residual, pattern.settings
@@ -177,8 +198,9 @@ def _detect(pattern: Pattern, lattice: MarkLattice) -> Detection:
         raise ValueError(
             f"image must show more {pattern.name} or nothing else, got {len(lattice.grid)}"
         )
-    pattern.check(image, fitted, to_image, positions)
-    side = pattern.side(positions)
+    result = FittedLattice(image, fitted, to_image, positions)
+    pattern.check(result)
+    side = pattern.side(result)
     order = np.lexsort(offsets.T)  # the corners of a square row by row, too
     ends = (offsets[order] > 0).astype(np.intp)
     cells = fitted.grid[:, None] - fitted.grid.min(axis=0)
@@ -220,17 +242,16 @@ def _fit_marks(pattern: Pattern, lattice: MarkLattice) -> FittedMarks:
     return FittedMarks(grid=grid[good], points=points, uncertainty=uncertainty, outlines=outlines)
 
 
-def check_surroundings(
-    pattern: Pattern, image: GreyImage, centers: Array, steps: Array, drawn: Array
-) -> None:
+def check_surroundings(pattern: Pattern, lattice: FittedLattice, drawn: Array) -> None:
     """Raise an error if the image around the marks does not correlate with the drawn pattern.
 
     Other marks lie between the marks of a sublattice and on a chessboard. `drawn` is whether a mark
     covers each of the places `CELL`.
     """
+    centers, steps = lattice.marks.points.mean(axis=1), lattice.to_image.steps(lattice.marks.grid)
     between = centers + steps.mean(axis=2)
     on_marks, between_marks = (
-        float(np.median(image.correlation(at, steps, CELL, sign * drawn)))
+        float(np.median(lattice.image.correlation(at, steps, CELL, sign * drawn)))
         for at, sign in ((centers, 1), (between, -1))
     )
     # Blurred circles correlate less than the gaps between them.

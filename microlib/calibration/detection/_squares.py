@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from microlib._common import Array
-from microlib.calibration.detection._grid_map import GridMap
 from microlib.calibration.detection._image import CELL, GreyImage
-from microlib.calibration.detection._lattice import MarkLattice, search_lattices
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import BLUR, CONTRAST, SLOPES, OutlineFit
-from microlib.calibration.detection._pattern import FittedMarks, Pattern, check_surroundings
+from microlib.calibration.detection._pattern import FittedLattice, Pattern, check_surroundings
 from microlib.calibration.detection._shapes import (
     CORNERS,
     MarkPoints,
@@ -30,9 +26,6 @@ class Squares(Pattern):
     offsets = CORNERS
     smooth = (0, 1, 2, 3, BLUR, CONTRAST, *SLOPES)  # the directions of the sides, too
 
-    def search(self, image: GreyImage) -> Iterator[MarkLattice]:
-        return search_lattices(image, self.settings)
-
     def fit(self, image: GreyImage, marks: Marks, steps: Array) -> OutlineFit:
         if are_round(image, marks, steps, self.settings):
             raise ValueError("image must show squares, got circles")
@@ -41,9 +34,10 @@ class Squares(Pattern):
     def locate(self, outlines: OutlineFit) -> MarkPoints:
         return line_crossings(outlines)
 
-    def bias(self, fitted: FittedMarks, to_image: GridMap, positions: Array) -> Array:
+    def bias(self, lattice: FittedLattice) -> Array:
         """Crossings of straight lines through the distorted sides minus the images of the
         corners, px."""
+        to_image, positions = lattice.to_image, lattice.positions
         ends = np.roll(positions, -1, axis=1)
         first, last = to_image(positions), to_image(ends)
         along = (last - first) / np.linalg.norm(last - first, axis=-1, keepdims=True)
@@ -53,18 +47,14 @@ class Squares(Pattern):
         # side moves the corner along the other side.
         return np.asarray(2 / 3 * (bend + np.roll(bend, 1, axis=1)))
 
-    def side(self, positions: Array) -> float:
-        return float(np.ptp(positions[0], axis=0).mean())
+    def side(self, lattice: FittedLattice) -> float:
+        return float(np.ptp(lattice.positions[0], axis=0).mean())
 
-    def check(
-        self, image: GreyImage, fitted: FittedMarks, to_image: GridMap, positions: Array
-    ) -> None:
+    def check(self, lattice: FittedLattice) -> None:
         """Raise an error if the sides of the marks differ or leave no gap."""
-        width, height = sides = np.ptp(positions[0], axis=0)
+        width, height = sides = np.ptp(lattice.positions[0], axis=0)
         if np.ptp(sides) > self.settings.max_skew * sides.min() or sides.max() >= 1:
             raise ValueError(
                 f"image must show squares, got rectangles of {width:.3g} × {height:.3g}"
             )
-        drawn = np.abs(CELL).max(axis=1) < self.side(positions) / 2
-        steps = to_image.steps(fitted.grid)
-        check_surroundings(self, image, fitted.points.mean(axis=1), steps, drawn)
+        check_surroundings(self, lattice, np.abs(CELL).max(axis=1) < self.side(lattice) / 2)
