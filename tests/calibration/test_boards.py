@@ -206,6 +206,31 @@ def test_asymmetric_grid_is_a_square_lattice():
     )
 
 
+@pytest.mark.parametrize("turn", [0.3, np.pi / 4, 0.86])
+def test_all_circles_of_a_turned_grid_are_detected_from_any_first_circle(turn, monkeypatch):
+    """A circle at the edge of the image lacks a neighbor. A lattice that was grown from such a
+    circle had a diagonal as a step, and was rejected or lost a tenth of its circles."""
+    every = np.argwhere(np.ones((19, 19))).astype(float)
+    places = every[np.hypot(*(every - 9).T) < 9.3]
+    image, truth = board(places, size=0.33, pitch=25.0, turn=turn, blur=1.5, noise=4.0)
+    inside = ((truth > 10) & (truth < np.array(image.shape[::-1]) - 11)).all(axis=1)
+    search = lattice.dark_regions
+    for corner in ([0, 0], [320, 0], [160, 240]):
+
+        def nearest_first(*given, corner=corner):
+            marks = search(*given)
+            return marks[np.argsort(np.hypot(*(marks.centers - corner).T))]
+
+        monkeypatch.setattr(lattice, "dark_regions", nearest_first)
+        found = detect_circles(image)
+        assert np.abs(errors(found, truth)).max() < 0.2
+        assert cKDTree(found.points).query(truth[inside])[0].max() < 0.2
+        # Steps of the result are steps of the pattern.
+        seen = places[cKDTree(truth).query(found.points)[1]]
+        steps = np.linalg.lstsq(found.positions - found.positions[0], seen - seen[0])[0]
+        np.testing.assert_allclose(steps @ steps.T, np.eye(2), atol=1e-9)
+
+
 # The kind of pattern
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.calibration.detection._image import CELL, GreyImage
+from microlib.calibration.detection._lattice import lattice_metrics
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import BLUR, CONTRAST, SLOPES, OutlineFit
 from microlib.calibration.detection._pattern import FittedLattice, Pattern, check_surroundings
@@ -45,15 +46,10 @@ class Circles(Pattern):
 
     def check(self, lattice: FittedLattice) -> None:
         """Raise an error if the circles differ in shape, or lie on another lattice than a square
-        one, or are not apart from each other.
-
-        The inverse of the map from lattice coordinates to the image makes one ellipse of the images
-        of all circles. It is the metric of the coordinates, which the centers alone do not
-        determine.
-        """
+        one, or are not apart from each other."""
+        ellipses = ellipse_matrices(lattice.marks.outlines)
         steps = lattice.to_image.steps(lattice.marks.grid)
-        in_lattice = np.linalg.inv(steps) @ ellipse_matrices(lattice.marks.outlines)
-        metrics = in_lattice @ in_lattice.transpose(0, 2, 1)
+        metrics = lattice_metrics(ellipses @ ellipses, steps)
         metric = np.median(metrics, axis=0)
         deviation = np.linalg.norm(metrics - metric, axis=(1, 2)) / np.linalg.norm(metric)
         scatter = float(np.median(deviation))

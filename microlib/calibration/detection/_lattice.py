@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import cv2
@@ -52,11 +53,12 @@ def search_lattices(image: GreyImage, settings: DetectionSettings) -> Iterator[M
     dark = dark_regions(image, settings)
     lattices = grow_lattices(image, dark, settings)[:1]
     if lattices and len(lattices[0].grid) >= settings.only_pattern * len(dark.centers):
-        yield complete(lattices.pop()._replace(alone=True), settings)
+        yield complete(reduce_basis(lattices.pop()._replace(alone=True)), settings)
     for shown, marks in even_edges(image, settings):
         lattices += grow_lattices(shown, marks, settings)
     for lattice in sorted(lattices, key=lambda lattice: -len(lattice.grid))[:4]:
-        yield complete(lattice, settings)
+        with suppress(ValueError):  # no plane has an image with these marks
+            yield complete(reduce_basis(lattice), settings)
 
 
 def grow_lattices(image: GreyImage, marks: Marks, settings: DetectionSettings) -> list[MarkLattice]:
@@ -169,6 +171,42 @@ def _grow(
                 taken.add(int(nearest))
                 queue.append((target, following))
     return marks
+
+
+def reduce_basis(lattice: MarkLattice) -> MarkLattice:
+    """The lattice with coordinates along its shortest steps on the plane of the pattern.
+
+    A mark at the edge of the image lacks a neighbor, and a lattice that is grown from this mark may
+    have a diagonal as a step.
+    """
+    image, marks, grid, _ = lattice
+    steps = map_centers(marks.centers, grid, image.grey.shape).steps(grid)
+    products = np.linalg.inv(np.median(lattice_metrics(marks.moments, steps), axis=0))
+    basis = np.eye(2)  # the new steps in old coordinates, one row each
+    for _ in range(8):  # the algorithm of Lagrange and Gauss
+        (first, mixed), (_, second) = basis @ products @ basis.T
+        if second < first:
+            basis, first = basis[::-1], second
+        basis[1] -= np.round(mixed / first) * basis[0]
+    return lattice._replace(grid=np.round(grid @ np.linalg.inv(basis)).astype(np.intp))
+
+
+def lattice_metrics(shapes: Array, steps: Array) -> Array:
+    """Second moments of marks in the coordinates of their lattice, (n, 2, 2).
+
+    They are equal for all marks of one shape. For circles and squares, their inverse has the inner
+    products of the steps on the plane of the pattern, up to a factor. The centers alone do not
+    determine these products.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (n, 2, 2)
+        Second moments in the image, px².
+    steps : ndarray, shape (n, 2, 2)
+        Derivatives of the image points by the coordinates, one column each, px.
+    """
+    inverse = np.linalg.inv(steps)
+    return np.asarray(inverse @ shapes @ inverse.transpose(0, 2, 1))
 
 
 def complete(lattice: MarkLattice, settings: DetectionSettings) -> MarkLattice:
