@@ -198,8 +198,8 @@ def measure(scene: Any) -> dict[str, Any]:
         return {"error": np.nan, "std": np.nan, "reason": str(reason)}
     low, high = found.model_interval
     return {
-        "error": np.log(found.modulus / scene.modulus),
-        "std": found.relative_std,
+        "error": np.log(found.modulus.value / scene.modulus),
+        "std": found.modulus.uncertainty / found.modulus.value,
         "seconds": process_time() - start,
         "models hold": low < scene.modulus < high,
     }

@@ -25,6 +25,7 @@ from compendium.experiments.section_5_3 import texture_sequence
 from microlib import calibration, io, membrane, tracking
 from microlib.__main__ import main
 from microlib.embryo import dimple_from_outline
+from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
 from tests.io.make import read_ply
@@ -407,10 +408,12 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
         for name, value in own.items():
             assert found[prefix + name] == pytest.approx(value, rel=1e-4), prefix + name
         drawn = membrane.modulus_samples(values, stds, size=20_000, rng=5)
-        ends = found[[f"{prefix}modulus_{end}95_MPa" for end in ("low", "high")]]
+        ends = found[[f"{prefix}modulus_{end}_MPa" for end in ("low", "high")]]
         # Two draws of the tails differ by 2 %.
         np.testing.assert_allclose(ends, np.quantile(drawn, [0.025, 0.975]), rtol=0.06)
-        words = f"E = {modulus:.4g} MPa, 95 % between {ends.iloc[0]:.4g} and {ends.iloc[1]:.4g} MPa"
+        uncertainty = membrane.modulus_uncertainty(values, stds)
+        assert found[f"{prefix}modulus_uncertainty_MPa"] == pytest.approx(uncertainty, rel=1e-4)
+        words = f"E = {Estimate(modulus, uncertainty, *ends, 'MPa')}"
         a, w = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in [*values][-2:])
         words = f"{rim} rim{', as in the thesis' * (rim == 'left')}: {words}\na = {a}, w_d = {w}"
         assert words in printed

@@ -265,8 +265,9 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
             )
             dimple = thesis_dimple(fitted.boundary)
             by_thesis = thesis.modulus(dimple.rim_radius, dimple.dimple_depth, force=load)
-            ends = fitted.interval
-            rows.append([pressed.dimple_depth, load, fitted.modulus, *ends, by_thesis])
+            modulus = fitted.modulus
+            row = [pressed.dimple_depth, load, modulus.value, *modulus.interval, by_thesis]
+            rows.append(row)
     return pd.DataFrame(rows, columns=["depth", "force", "fitted", "low", "high", "thesis"])
 
 

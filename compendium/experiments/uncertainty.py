@@ -174,7 +174,9 @@ def moduli(seed: int, count: int) -> dict[str, tuple[NDArray, NDArray]]:
             ("closed capsule", draw_capsule(state, rng), force, 2.0),
         ):
             found = modulus_from_image(image, load, pixel_size=pixel, **walls)
-            rows[name].append((np.log(found.modulus / modulus), found.relative_std))
+            found_modulus = found.modulus
+            relative = found_modulus.uncertainty / found_modulus.value
+            rows[name].append((np.log(found_modulus.value / modulus), relative))
     return {name: tuple(np.transpose(pairs)) for name, pairs in rows.items()}
 
 

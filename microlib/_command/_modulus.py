@@ -57,7 +57,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
         session.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
     left, left_text = _estimate(measured.left, values, uncertainties)
     right, right_text = _estimate(measured.right, values, uncertainties)
-    low, high = (f"modulus_{end}95_MPa" for end in ("low", "high"))
+    low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
     summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
@@ -67,7 +67,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("table", text("\n".join(lines)))
     points = {"left rim": measured.left.rim, "bottom": measured.left.bottom}
     points["right rim"] = measured.right.rim
-    drawn = partial(outline, measured.x, measured.y, measured.curve, points, summary)
+    dense = np.linspace(*measured.curve.domain, 1000)
+    curve = np.stack([dense, measured.curve(dense)])
+    drawn = partial(outline, measured.x, measured.y, curve, points, summary)
     session.write("look.png", picture(drawn))
     session.say(
         "The table has the modulus, its interval, and the values that it was computed from."
@@ -80,21 +82,28 @@ def _estimate(
 ) -> tuple[dict[str, float], str]:
     """Return the modulus of a dimple with its inputs, and a summary."""
     from microlib import membrane
+    from microlib.estimate import Estimate
 
     values = values | {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     radius, depth = np.sqrt(np.diag(dimple.covariance)).tolist()
     uncertainties = uncertainties | {"rim_radius": radius, "dimple_depth": depth}
-    modulus = float(membrane.elastic_modulus(**values))
+    value = float(membrane.elastic_modulus(**values))
     samples = membrane.modulus_samples(values, uncertainties, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
-    row = {"modulus_MPa": modulus}
-    row["finite_slope_modulus_MPa"] = np.nan
+    uncertainty = membrane.modulus_uncertainty(values, uncertainties)
+    modulus = Estimate(value, uncertainty, low, high, "MPa")
+    row = {
+        "modulus_MPa": modulus.value,
+        "modulus_uncertainty_MPa": modulus.uncertainty,
+        "modulus_low_MPa": modulus.low,
+        "modulus_high_MPa": modulus.high,
+        "finite_slope_modulus_MPa": np.nan,
+    }
     with suppress(ValueError):  # no uniform stress has a dimple as deep as this
         row["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
-    row |= {"modulus_low95_MPa": low, "modulus_high95_MPa": high} | values
-    row |= {f"{name}_uncertainty": value for name, value in uncertainties.items()}
+    row |= values | {f"{name}_uncertainty": number for name, number in uncertainties.items()}
     return row, (
-        f"E = {modulus:.4g} MPa, 95 % between {low:.4g} and {high:.4g} MPa\n"
+        f"E = {modulus}\n"
         f"a = {dimple.rim_radius:.1f} ± {radius:.1f} µm, "
         f"w_d = {dimple.dimple_depth:.1f} ± {depth:.1f} µm"
     )

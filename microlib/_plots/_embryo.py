@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes
@@ -14,17 +13,15 @@ from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes
 def outline(
     x: NDArray,
     y: NDArray,
-    curve: Callable[[NDArray], NDArray] | None,
+    curve: NDArray,
     points: Mapping[str, tuple[float, float]],
     title: str,
     ax: Any = None,
 ) -> Any:
-    """Draw an outline, px, y up and stretched, the curve fitted to it and named points of it."""
+    """Draw an outline, px, y up and stretched, a fitted curve (x, y) and named points of it."""
     ax = new_axes(1, 1, 8, 5)[0, 0] if ax is None else ax
     ax.plot(x, y, ".", ms=3, color="0.6", label="outline")
-    if curve is not None:
-        dense = np.linspace(x.min(), x.max(), 1000)
-        ax.plot(dense, curve(dense), color=BESIDE, label="fitted model")
+    ax.plot(*curve, color=BESIDE, label="fitted model")
     for (name, at), color in zip(points.items(), (FOUND, OFF, FOUND), strict=False):
         ax.plot(*at, "o", color=color, label=name)
     ax.set(xlabel="x (px)", ylabel="y, up (px)", title=title)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, as_array, inverse_normal, one_of, robust_std, scalar
+from microlib._common import Array, Tidy, inverse_normal, one_of, robust_std, scalar
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -27,7 +27,7 @@ _BEYOND_RIM = 1.3
 #: Largest root mean square distance from the profile, as a fraction of the depth. E is proportional
 #: to depth⁻³, so that an error of a sixth of the depth is a factor of √e. A limit of 0.03 rejects
 #: one of nine embryos, and limits up to 0.3 change nothing.
-_MAX_MISFIT = 1 / 6
+_MAX_RMS = 1 / 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,8 +138,6 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
 class DimpleFit(Tidy):
     """Dimple with the profile (4.2) fitted to an outline, from `fit_dimple`.
 
-    Calling it with x in px returns y in px.
-
     Attributes
     ----------
     rim_radius, dimple_depth : float
@@ -152,9 +150,9 @@ class DimpleFit(Tidy):
         Angle of the axis counterclockwise from the vertical, in radians.
     rim_curvatures : tuple of float
         Curvature of the outline just outside the rim, left and right, in 1/µm.
-    misfit : float
-        Root mean square distance of the outline from the fit, in px. A misfit well above the
-        standard deviation of the points means that the outline has not the profile (4.2).
+    rms_px : float
+        Root mean square distance of the outline from the fit, in px. If it is well above the
+        uncertainty of the points, the outline has not the profile (4.2).
     pixel_size, probe_half_width : float
         As given, in µm.
     """
@@ -167,34 +165,20 @@ class DimpleFit(Tidy):
     center: tuple[float, float]
     tilt: float
     rim_curvatures: tuple[float, float]
-    misfit: float
+    rms_px: float
     pixel_size: float
     probe_half_width: float
 
-    def __call__(self, x: ArrayLike) -> Array:
-        """Return the height y of the fitted outline at `x`, both in px.
-
-        The height is NaN beyond ten radii from the axis.
-        """
-        along = as_array("x", x) - self.center[0]
-        near = np.abs(along) < 10 * self.rim_radius / self.pixel_size
-        along = np.where(near, along, 0.0)
-        dimple = _Dimple(
-            *self.center,
-            self.tilt,
-            self.rim_radius / self.pixel_size,
-            self.dimple_depth / self.pixel_size,
-            *(curvature * self.pixel_size for curvature in self.rim_curvatures),
-        )
-        c = self.probe_half_width / self.pixel_size
-        # A tilt moves the points of the upright dimple sideways. A fixed-point iteration finds the
-        # point that comes to lie at x, to 0.2 px for a tilt of 0.3 (measured).
+    @property
+    def curve(self) -> Array:
+        """Fitted outline to just beyond the rims, rows x and y in px, y up; shape (2, 401)."""
+        left, right = (curvature * self.pixel_size for curvature in self.rim_curvatures)
+        radius, depth = self.rim_radius / self.pixel_size, self.dimple_depth / self.pixel_size
+        dimple = _Dimple(*self.center, self.tilt, radius, depth, left, right)
+        u = np.linspace(-_BEYOND_RIM, _BEYOND_RIM, 401) * radius
+        v, _ = _profile(u, dimple, self.probe_half_width / self.pixel_size)
         cos, sin = np.cos(self.tilt), np.sin(self.tilt)
-        u = along / cos
-        for _ in range(8):
-            u = (along + sin * _profile(u, dimple, c)[0]) / cos
-        height = _profile(u, dimple, c)[0]
-        return np.where(near, self.center[1] + sin * u + cos * height, np.nan)
+        return np.array(self.center)[:, np.newaxis] + [cos * u - sin * v, sin * u + cos * v]
 
 
 def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float) -> DimpleFit:
@@ -249,7 +233,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     """
     size = scalar("pixel_size", pixel_size, above=0)
     c = scalar("probe_half_width", probe_half_width, above=0) / size
-    check_probe_width(boundary, c, size)
+    _check_probe_width(boundary, c, size)
     outline = np.stack([boundary.x, boundary.y, boundary.uncertainty])[:, ~boundary.under_probe]
     start = _initial_dimple(outline[0], outline[1], boundary)
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
@@ -261,43 +245,52 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     inlier = distance < max(4 * robust_std(distance), 1.0)
     # More than a quarter of the points are not outliers but an outline of another shape.
     kept = near[:, inlier] if inlier.mean() >= 3 / 4 else near
-    found, result = _fit(kept, first, c)
-    misfit = float(np.sqrt(np.mean(_normal_distance(found, kept[0], kept[1], c) ** 2)))
-    if misfit > _MAX_MISFIT * found.depth:
+    final, result = _fit(kept, first, c)
+    rms = float(np.sqrt(np.mean(_normal_distance(final, kept[0], kept[1], c) ** 2)))
+    if rms > _MAX_RMS * final.depth:
         raise ValueError(
             "boundary must follow the membrane's profile (4.2) to within a sixth of the dimple's "
-            f"depth, got {misfit:.2f} px of {found.depth:.1f} px"
+            f"depth, got {rms:.2f} px of {final.depth:.1f} px"
         )
-    axis = float(boundary.probe.axis(boundary.image_height - 1 - found.y))
-    end = boundary.image_height - 1 - boundary.probe.tip[1]
-    off_axis, off_bottom = abs(axis - found.x), abs(found.y - found.depth - end)
-    # The end of the probe is known to 1 px. A third of the depth would change the modulus by a
-    # factor of e.
-    beyond = float(np.sqrt(max(off_bottom**2 - 1, 0.0)))
-    if off_axis > c or beyond > found.depth / 3:
-        raise ValueError(
-            "boundary must have the probe's end at the bottom of the dimple, for this "
-            f"probe_half_width, got it {off_axis:.1f} px beside the axis and {off_bottom:.1f} px "
-            "off in height"
-        )
+    beyond = _check_probe_end(boundary, final, c)
     covariance = inverse_normal(result.jac) * residual_variance(result.fun, len(result.x))
     sizes = [_Dimple._fields.index(name) for name in ("radius", "depth")]
     covariance = covariance[np.ix_(sizes, sizes)] * size**2
     covariance[1, 1] += (beyond * size) ** 2
     return DimpleFit(
-        rim_radius=found.radius * size,
-        dimple_depth=found.depth * size,
+        rim_radius=final.radius * size,
+        dimple_depth=final.depth * size,
         covariance=covariance,
-        center=(found.x, found.y),
-        tilt=found.tilt,
-        rim_curvatures=(found.left_curvature / size, found.right_curvature / size),
-        misfit=misfit,
+        center=(final.x, final.y),
+        tilt=final.tilt,
+        rim_curvatures=(final.left_curvature / size, final.right_curvature / size),
+        rms_px=rms,
         pixel_size=size,
         probe_half_width=c * size,
     )
 
 
-def check_probe_width(boundary: Boundary, half_width: float, pixel_size: float) -> None:
+def _check_probe_end(boundary: Boundary, dimple: _Dimple, c: float) -> float:
+    """Return by how much more than 1 px the probe's end is above or below the bottom, in px.
+
+    Raise for an end that is too far from the bottom.
+    """
+    height = boundary.image_height - 1
+    off_axis = abs(float(boundary.probe.axis(height - dimple.y)) - dimple.x)
+    off_bottom = abs(dimple.y - dimple.depth - (height - boundary.probe.tip[1]))
+    # The end of the probe is known to 1 px. A third of the depth would change the modulus by a
+    # factor of e.
+    beyond = float(np.sqrt(max(off_bottom**2 - 1, 0.0)))
+    if off_axis > c or beyond > dimple.depth / 3:
+        raise ValueError(
+            "boundary must have the probe's end at the bottom of the dimple, for this "
+            f"probe_half_width, got it {off_axis:.1f} px beside the axis and {off_bottom:.1f} px "
+            "off in height"
+        )
+    return beyond
+
+
+def _check_probe_width(boundary: Boundary, half_width: float, pixel_size: float) -> None:
     """Raise for a half-width (px) that differs from that of the probe in the image."""
     measured = boundary.probe.half_width
     factor = max(half_width / measured, measured / half_width)
@@ -342,13 +335,13 @@ def _near(outline: Array, dimple: _Dimple) -> Array:
 
 def _fit(outline: Array, start: _Dimple, c: float) -> tuple[_Dimple, OptimizeResult]:
     """Fit a dimple to the rows x, y, uncertainty of an outline by least squares."""
-    x, y, std = outline
+    x, y, uncertainty = outline
     # The tilt, in radians, is limited to four times that of a probe; 0.1 to 0.6 change nothing.
     far, tilt, sharpest = np.inf, 1 / 4, 1 / start.radius
     lower = [-far, -far, -tilt, c + 1, 0.0, 0.0, 0.0]
     bounds = lower, [far, far, tilt, far, far, sharpest, sharpest]
     result = least_squares(
-        lambda p: _normal_distance(_Dimple(*p), x, y, c) / std,
+        lambda p: _normal_distance(_Dimple(*p), x, y, c) / uncertainty,
         np.clip(start, *bounds),
         bounds=bounds,
         x_scale="jac",

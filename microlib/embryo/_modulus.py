@@ -6,7 +6,6 @@ point-load model. Lengths are in µm, forces in µN, moduli in MPa.
 
 from __future__ import annotations
 
-import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,8 +17,8 @@ from numpy.typing import ArrayLike
 from microlib._common import Tidy, measured, poisson
 from microlib.embryo._boundary import MIN_SIDE, Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple
+from microlib.estimate import Estimate
 from microlib.membrane import (
-    SmallSlopeWarning,
     capsule_modulus,
     disc_modulus,
     elastic_modulus,
@@ -27,7 +26,7 @@ from microlib.membrane import (
 )
 
 #: Number of standard deviations on either side of a normal 95 % interval.
-NORMAL_95 = 1.959964
+_NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,12 +35,11 @@ class ImageEstimate(Tidy):
 
     Attributes
     ----------
-    force, modulus : float
-        Indentation force F, in µN, as given, and elastic modulus E, in MPa.
-    relative_std : float
-        Standard deviation of the logarithm of the modulus, from the errors of the outline.
-    interval : tuple of float
-        95 % interval of the modulus, in MPa, from `relative_std`.
+    modulus : Estimate
+        Elastic modulus E, in MPa. Its uncertainty and its interval follow from the errors of the
+        outline.
+    force : float
+        Indentation force F as given, in µN.
     dimple : DimpleFit
         Fit of the profile (4.2) with its covariance.
     boundary : Boundary
@@ -51,28 +49,21 @@ class ImageEstimate(Tidy):
 
     Notes
     -----
-    `interval` covers the noise of the outline and the distance of the outline from the fitted
-    curve. It does not cover the errors of the given force, of the thickness or of the probe's
-    width, nor the whole bias of a model that does not suit the object. `misfit` measures how well
-    the model fits the outline. `model_moduli` and `model_interval` compare other models of the same
-    dimple. They are computed at the first access, which takes half a second.
+    The interval of `modulus` covers the noise of the outline and the distance of the outline from
+    the fitted curve. It does not cover the errors of the given force, of the thickness or of the
+    probe's width, nor the whole bias of a model that does not suit the object. `relative_rms`
+    measures how well the model fits the outline. `model_moduli` and `model_interval` compare other
+    models of the same dimple. They are computed at the first access, which takes half a second.
     """
 
+    modulus: Estimate
     force: float
-    modulus: float
-    relative_std: float
-    interval: tuple[float, float]
     dimple: DimpleFit
     boundary: Boundary
     given: dict[str, Any]
 
     def __repr__(self) -> str:
-        return f"ImageEstimate({self._summary}, misfit {self.misfit:.1%} of the dimple's depth)"
-
-    @property
-    def _summary(self) -> str:
-        low, high = self.interval
-        return f"modulus {self.modulus:.4g} MPa, 95 % within {low:.4g} … {high:.4g}"
+        return f"ImageEstimate(modulus {self.modulus}, rms {self.relative_rms:.1%} of the depth)"
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the outline and the fitted dimple with Matplotlib.
@@ -88,14 +79,15 @@ class ImageEstimate(Tidy):
         """
         from microlib._plots import outline
 
-        return outline(self.boundary.x, self.boundary.y, self.dimple, {}, self._summary, ax)
+        title = f"modulus {self.modulus}"
+        return outline(self.boundary.x, self.boundary.y, self.dimple.curve, {}, title, ax)
 
     @property
-    def misfit(self) -> float:
+    def relative_rms(self) -> float:
         """Root mean square distance of the outline from the model, divided by the dimple's depth.
 
         Noise alone gives less than 0.01."""
-        return self.dimple.misfit * self.dimple.pixel_size / self.dimple.dimple_depth
+        return self.dimple.rms_px * self.dimple.pixel_size / self.dimple.dimple_depth
 
     @cached_property
     def model_moduli(self) -> dict[str, float]:
@@ -111,28 +103,30 @@ class ImageEstimate(Tidy):
         nu = self.given["poisson_ratio"]
         dimple = (self.dimple.rim_radius, self.dimple.dimple_depth)
         radius = _egg_radius(self.boundary, self.dimple.pixel_size)
-        with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-            point_load = elastic_modulus(self.force, *dimple, **lengths, poisson_ratio=nu)
-        found = {"point load": float(point_load)}
+        moduli = {"point load": self.modulus.value}
         for law, ratio in (("neo-hooke", 0.5), ("hooke", nu)):
             settings: dict[str, Any] = {"law": law, "poisson_ratio": ratio, **lengths}
             for suffix, pressure in (("", "balance"), (", no pressure", 0.0)):
                 with suppress(ValueError):  # no such disc has this dimple
                     modulus = disc_modulus(self.force, *dimple, pressure=pressure, **settings)
-                    found[f"disc, {law}{suffix}"] = modulus
+                    moduli[f"disc, {law}{suffix}"] = modulus
             if radius is not None:
                 with suppress(ValueError):  # no such capsule has this dimple
                     capsule = capsule_modulus(
                         self.force, *dimple, capsule_radius=radius, **settings
                     )
-                    found[f"capsule, {law}"] = capsule.modulus
-        return found
+                    moduli[f"capsule, {law}"] = capsule.modulus
+        return moduli
 
     @property
     def model_interval(self) -> tuple[float, float]:
-        """Range of the modulus over all models, widened as `interval` is, in MPa."""
-        moduli = self.model_moduli.values()
-        return _interval(min(moduli), max(moduli), self.relative_std)
+        """Range of the modulus over all models, in MPa, with the interval of each.
+
+        The relative interval of each model is that of `modulus`.
+        """
+        moduli, by_outline = self.model_moduli.values(), self.modulus
+        low, high = np.divide(by_outline.interval, by_outline.value).tolist()
+        return min(moduli) * low, max(moduli) * high
 
 
 def modulus_from_image(
@@ -167,8 +161,8 @@ def modulus_from_image(
     Returns
     -------
     ImageEstimate
-        The `modulus` with its `relative_std` and `interval`, the `dimple` and the `boundary`.
-        The property `model_moduli` contains the moduli by other models of the same dimple.
+        The `modulus` with its uncertainty and interval, the `dimple` and the `boundary`. The
+        property `model_moduli` contains the moduli by other models of the same dimple.
 
     Raises
     ------
@@ -194,7 +188,7 @@ def modulus_from_image(
     ...     scene.image, 1.2, pixel_size=scene.pixel_size, thickness=3.0, probe_half_width=25.0,
     ...     poisson_ratio=0.5,
     ... )
-    >>> estimate.interval[0] < 1.2 < estimate.interval[1], estimate.relative_std < 0.05
+    >>> estimate.modulus.low < 1.2 < estimate.modulus.high, estimate.modulus.uncertainty < 0.06
     (True, True)
     """
     load, size = measured("force", force, "µN"), measured("pixel_size", pixel_size, "µm/px")
@@ -214,22 +208,16 @@ def modulus_from_image(
     sizes = {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     inputs = {"force": load, **sizes, **given}
     modulus = float(elastic_modulus(**inputs))
-    std = modulus_uncertainty(inputs, {}, dimple_covariance=dimple.covariance) / modulus
+    uncertainty = modulus_uncertainty(inputs, {}, dimple_covariance=dimple.covariance)
+    # The error of a product of powers is nearly log-normal.
+    factor = float(np.exp(_NORMAL_95 * uncertainty / modulus))
     return ImageEstimate(
+        modulus=Estimate(modulus, uncertainty, modulus / factor, modulus * factor, "MPa"),
         force=load,
-        modulus=modulus,
-        relative_std=std,
-        interval=_interval(modulus, modulus, std),
         dimple=dimple,
         boundary=boundary,
         given=given,
     )
-
-
-def _interval(least: float, largest: float, std: float) -> tuple[float, float]:
-    """Return a range widened by the 95 % interval of a logarithm of this standard deviation."""
-    factor = float(np.exp(NORMAL_95 * std))
-    return least / factor, largest * factor
 
 
 def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,14 +30,25 @@ MOST_PIXELS = 1e9
 _MIN_POINTS = 24
 
 
-class OutlineTable(NamedTuple):
-    """Points of an outline, from `read_outline`."""
+@dataclass(frozen=True, eq=False, repr=False)
+class OutlineTable(Tidy):
+    """Points of an outline, from `read_outline`.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (n,)
+        Coordinates, in the order of the file.
+    pixel_size : float or None
+        Unit of x and y, in µm, if the names of the columns contain it.
+    y_down : bool
+        Whether y points down, as a column called row does.
+    """
+
+    _large = ("x", "y")
 
     x: Array
     y: Array
-    #: Unit of x and y in µm if the names of the columns contain it, else None.
     pixel_size: float | None
-    #: Whether y points down, as a column called row does.
     y_down: bool
 
 
@@ -46,9 +58,9 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Parameters
     ----------
     path : path-like
-        Text in UTF-8 or UTF-16 with two columns without names, or with columns x and y, or col and
-        row, among others. The separator is a comma, semicolon, tab or space. Decimal commas are
-        read if the separator is another one. Empty lines and text after a # are skipped. A name may
+        Text in UTF-8 with two columns without names, or with columns x and y, or col and row, among
+        others. The separator is a comma, semicolon, tab or space. Decimal commas are read if the
+        separator is a semicolon or a tab. Empty lines and text after a # are skipped. A name may
         have a unit, such as ``x (px)`` or ``y_um``.
 
     Returns
@@ -60,7 +72,7 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Raises
     ------
     ValueError
-        If the file contains no such table. The message contains the number of the line.
+        If the file contains no such table.
 
     Examples
     --------
@@ -73,52 +85,35 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     ...     read_outline(file).x
     array([1.5, 2. ])
     """
-    content = Path(path).read_bytes()
+    import pandas as pd  # here, because it takes long to import
+
     try:
-        wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
-        text = content.decode("utf-16" if wide else "utf-8-sig").replace('"', "")
+        text = re.sub("#.*", "", Path(path).read_text("utf-8-sig")).strip()
     except UnicodeDecodeError:
         raise ValueError(f"{path} must be a table of text with the columns x and y") from None
-    numbered = enumerate(text.splitlines(), start=1)
-    lines = [(k, found) for k, line in numbered if (found := line.partition("#")[0].strip())]
     # The last line determines the separator, because names may contain spaces.
-    separator = _separator(lines[-1][1]) if lines else ","
-    rows = [(k, [cell.strip() for cell in re.split(separator, line)]) for k, line in lines]
-    columns: tuple[tuple[int, int], float | None, bool] = (0, 1), None, False
-    if rows and _numbers(rows[0][1], (0, 1)) is None:
-        columns = _columns(path, rows.pop(0)[1])
-    points = []
-    for number, cells in rows:
-        points.append(point := _numbers(cells, columns[0]))
-        if point is None:
-            got = ", ".join(cells)
-            raise ValueError(f"{path} must have two numbers in line {number}, got {got!r}")
-    if not points:
-        raise ValueError(f"{path} must have numbers in the columns x and y, got none")
-    x, y = np.transpose(np.array(points, dtype=float))
-    return OutlineTable(x, y, *columns[1:])
-
-
-def _separator(line: str) -> str:
-    """Return the separator of a line of numbers as a regular expression."""
-    for mark in ";\t":
-        if mark in line:
-            return mark
-    cells = line.split()
-    decimal = len(cells) > 1 and not any(cell.strip(",") != cell for cell in cells)
-    return r"\s+" if decimal else ","
-
-
-def _numbers(cells: list[str], columns: tuple[int, int]) -> tuple[float, float] | None:
-    """Return the finite numbers in two cells, or None."""
+    last = text.rpartition("\n")[2]
+    separator = next((mark for mark in ";\t," if mark in last), r"\s+")
     try:
-        x, y = (float(cells[k].replace(",", ".")) for k in columns)
-    except (IndexError, ValueError):
-        return None
-    return (x, y) if np.isfinite(x + y) else None
+        cells = pd.read_csv(
+            StringIO(text), sep=separator, header=None, dtype=str, skipinitialspace=True
+        )
+    except ValueError as error:  # of pandas, for lines of different length or none
+        raise ValueError(f"{path} must be a table with the columns x and y: {error}") from None
+    numbers = cells.replace(",", ".", regex=True).apply(pd.to_numeric, errors="coerce").to_numpy()
+    columns, unit, y_down, first = [0, 1], None, False, 0
+    if np.isnan(numbers[0, :2]).any():
+        columns, unit, y_down = _columns(path, [str(name).strip() for name in cells.iloc[0]])
+        first = 1
+    points = numbers[first:, columns]
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if wrong.size or not points.size:
+        got = f"{cells.iloc[first + wrong[0]].tolist()}" if wrong.size else "none"
+        raise ValueError(f"{path} must have numbers in the columns x and y, got {got}")
+    return OutlineTable(points[:, 0], points[:, 1], unit, y_down)
 
 
-def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | None, bool]:
+def _columns(path: object, names: list[str]) -> tuple[list[int], float | None, bool]:
     """Return the indices of x and y, their unit in µm or None, and whether y points down."""
     form = re.compile(r"(\w+?)[\s_]*[\[(]?(px|pixels?|[uµμnm]m|)[\])]?")
     known = {m[1]: (k, m[2]) for k, name in enumerate(names) if (m := form.fullmatch(name.lower()))}
@@ -127,7 +122,7 @@ def _columns(path: object, names: list[str]) -> tuple[tuple[int, int], float | N
             (first, unit), (second, other) = known[across], known[up]
             if MICROMETERS.get(unit) != MICROMETERS.get(other):
                 raise ValueError(f"{path} must have x and y in one unit, got {unit} and {other}")
-            return (first, second), MICROMETERS.get(unit), up == "row"
+            return [first, second], MICROMETERS.get(unit), up == "row"
     units = "in px, nm, µm or mm, such as x (px) and y (px), or x_um and y_um"
     raise ValueError(f"{path} must have the columns x and y, or col and row, {units}, got {names}")
 

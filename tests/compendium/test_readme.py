@@ -40,4 +40,4 @@ def test_readme_command_reproduces_truth(tmp_path, monkeypatch, capsys, task, te
     else:
         values = pd.read_csv("modulus.csv", index_col="quantity")["value"]
         true = manifest()["outline.csv"]["truth"]["modulus_MPa"]
-        assert values["modulus_low95_MPa"] < true < values["modulus_high95_MPa"]
+        assert values["modulus_low_MPa"] < true < values["modulus_high_MPa"]
