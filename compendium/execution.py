@@ -1,4 +1,4 @@
-"""Execute one notebook with nbclient, in a kernel that is the interpreter of this process."""
+"""Execute one notebook with papermill, in a kernel that is the interpreter of this process."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from time import perf_counter
 from typing import Any, ClassVar
 
 import nbformat
+import papermill
 from jupyter_client.kernelspec import KernelSpec
 from jupyter_client.manager import AsyncKernelManager
 from jupyter_core.utils import ensure_event_loop
-from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError
 from nbformat import NotebookNode
-from nbformat.v4 import new_code_cell
+from papermill.exceptions import PapermillExecutionError
 from traitlets import Dict, Unicode
 from traitlets.config import Config
 
@@ -76,6 +75,11 @@ def interrupt_kernels(number: int | None = None, _: object = None) -> None:
     again.start()
 
 
+def _before_cell(**_: object) -> None:
+    if interrupted.is_set():
+        raise InterruptedError("interrupted")
+
+
 def execute(
     source: Path,
     output: Path,
@@ -86,7 +90,7 @@ def execute(
     variables: Mapping[str, str] | None = None,
     cell_limit: float | None = None,
 ) -> tuple[str, bool]:
-    """Execute a notebook, also if a cell calls ``sys.exit(0)``, which counts as an error.
+    """Execute a notebook with papermill.
 
     Parameters
     ----------
@@ -110,17 +114,9 @@ def execute(
     passed : bool
         Whether every cell ended without an error.
     """
-    start, message, passed, place = perf_counter(), "", False, ""
-    notebook = nbformat.read(source, as_version=4)
-    inject(notebook, values)
-
-    def begin(cell: NotebookNode, cell_index: int) -> None:
-        nonlocal place
-        if interrupted.is_set():
-            raise InterruptedError("interrupted")
-        place = f" in cell {cell.id}"
-
+    start, message, passed = perf_counter(), "", False
     with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / output.name
         # An empty folder for IPython, which keeps away a profile of the user.
         variables = {"IPYTHONDIR": f"{folder}/ipython", **(variables or {})}
         settings: dict[str, Any] = {"log_file": str(log), "variables": variables}
@@ -128,30 +124,43 @@ def execute(
         if len(os.fsencode(folder)) <= LONGEST_FOLDER:
             # Sockets in a folder of their own, as the default names of two kernels may collide.
             settings |= {"transport": "ipc", "ip": f"{folder}/k"}
-        client = NotebookClient(
-            notebook,
-            timeout=cell_limit,
-            kernel_manager_class=Kernel,
-            config=Config({"Kernel": settings}),
-            resources={"metadata": {"path": str(cwd)}},
-            record_timing=False,
-            on_cell_start=begin,
-        )
         try:
-            client.execute()
+            papermill.execute_notebook(
+                source,
+                made,
+                dict(values),
+                kernel_name="python3",
+                language="python",
+                progress_bar=False,
+                execution_timeout=cell_limit,
+                kernel_manager_class=Kernel,
+                config=Config({"Kernel": settings}),
+                resources={"metadata": {"path": str(cwd)}},
+                on_cell_start=_before_cell,
+            )
             message, passed = f"{perf_counter() - start:.1f} s", True
-        except CellExecutionError as error:
-            message = f"{error.ename}: {error.evalue}"
+            if said := error_of(nbformat.read(made, as_version=4)):  # papermill lets them pass
+                message, passed = said, False
+        except PapermillExecutionError as error:
+            # IPython prints the reason of a failing magic instead of raising an error.
+            said = f"{error.ename}: {error.evalue}"
+            message = one_line(said if error.evalue else printed_error(made) or said)
         except Exception as error:  # whatever happens to a kernel, other notebooks go on
             with log.open("a", encoding="utf-8") as file:
                 traceback.print_exc(file=file)
-            message = f"{type(error).__name__}: {error}".partition("\n")[0]
+            message = one_line(f"{type(error).__name__}: {error}".partition("\n")[0])
         finally:
             loop = ensure_event_loop()  # of this thread, which nbclient leaves open
             if not loop.is_running():  # a caller's own loop is not ours to close
                 loop.close()
-    message = one_line(message if passed else f"FAILED{place}: {message}")
-    replace_file(output, lambda file: nbformat.write(notebook, file))
+        try:
+            notebook = nbformat.read(made, as_version=4)
+        except (OSError, ValueError):  # never written, or cut off on a full disk
+            notebook = nbformat.read(source, as_version=4)
+        if not passed:
+            message = f"FAILED{place_of_failure(notebook)}: {message}"
+        clean(notebook)
+        replace_file(output, lambda file: nbformat.write(notebook, file))
     return message, passed
 
 
@@ -159,11 +168,35 @@ def one_line(text: object) -> str:
     return " ".join(str(text).split())
 
 
-def inject(notebook: NotebookNode, values: Mapping[str, object]) -> None:
-    """Put a hidden cell with the values of parameters behind the cell that has the defaults."""
-    if values:
-        lines = [f"{name} = {value!r}" for name, value in values.items()]
-        cell = new_code_cell("\n".join(lines), id="injected-parameters")
-        cell.metadata.tags = ["injected-parameters", "remove-cell"]
-        has_defaults = ["parameters" in each.metadata.get("tags", []) for each in notebook.cells]
-        notebook.cells.insert(has_defaults.index(True) + 1, cell)
+def error_of(notebook: NotebookNode) -> str:
+    """Return the error of a cell, such as that of ``sys.exit(0)``; nothing if there is none."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    errors = [output for output in outputs if output.output_type == "error"]
+    return one_line(f"{errors[0].ename}: {errors[0].evalue}") if errors else ""
+
+
+def printed_error(executed: Path) -> str:
+    """Return the last line that a cell wrote to the error stream; nothing if none did."""
+    notebook = nbformat.read(executed, as_version=4)
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    lines = [o.text.strip().splitlines() for o in outputs if o.get("name") == "stderr"]
+    return lines[-1][-1] if lines and lines[-1] else ""
+
+
+def place_of_failure(notebook: NotebookNode) -> str:
+    """Return the last cell that began, in words; nothing if none did."""
+    begun = [c.id for c in notebook.cells if c.metadata.get("papermill", {}).get("start_time")]
+    return f" in cell {begun[-1]}" if begun else ""
+
+
+def clean(notebook: NotebookNode) -> None:
+    """Remove what papermill adds, and hide the parameters that it injected."""
+    notebook.metadata.pop("papermill", None)
+    marked = "papermill-error-cell-tag"
+    notebook.cells = [c for c in notebook.cells if marked not in c.metadata.get("tags", [])]
+    for cell in notebook.cells:
+        cell.metadata.pop("papermill", None)
+        cell.metadata.pop("execution", None)
+        if "injected-parameters" in cell.metadata.get("tags", []):
+            cell.id = "injected-parameters"
+            cell.metadata.tags.append("remove-cell")

@@ -1,4 +1,4 @@
-"""Run the notebooks, two at a time, and only those whose inputs changed.
+"""Run the notebooks with papermill, two at a time, and only those whose inputs changed.
 
 ``python -m compendium.run`` leaves the executed notebooks in ``build/notebooks``, their records in
 ``build/claims``, the numbers behind their figures in ``build/figures``, one status file each in
@@ -61,7 +61,7 @@ class Parser(argparse.ArgumentParser):
 def main() -> int:
     """Run what the command line asks for; return the exit status."""
     os.environ |= THREADS
-    logging.disable()  # what nbclient logs of a failure is in our message
+    logging.disable()  # what papermill logs of a failure is in our message
     try:
         options = parse(sys.argv[1:])
         if options.failures:
@@ -91,7 +91,14 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     text, names = "set a parameter of one notebook", ("NAME", "VALUE")
     add("-p", dest="own", help=text, nargs=2, action="append", default=[], metavar=names)
     add("--output", help="folder for a run on your own data, mine if not given")
-    return parser.parse_intermixed_args(arguments)
+    # A value may begin with a minus, -5e1, which argparse takes for an option unless a space comes
+    # first.
+    safe = [
+        f" {text}" if "-p" in arguments[k - 2 : k - 1] else text for k, text in enumerate(arguments)
+    ]
+    options = parser.parse_intermixed_args(safe)
+    options.own = [(name, value.removeprefix(" ")) for name, value in options.own]
+    return options
 
 
 def reject_replaced_packages() -> None:

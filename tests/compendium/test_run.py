@@ -205,10 +205,10 @@ def test_wrong_arguments_give_one_line(
 @pytest.mark.parametrize(("source", "status"), [("print(record)", 0), ("1 / 0", 1)])
 def test_run_on_own_data_writes_to_its_own_folder(project, start, source, status):
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
-    own = ("-p", "record", "2.50", "-p", "width", "-50")
+    own = ("-p", "record", "2.50", "-p", "width", "-5e1")
     assert start("01", *own, "--output", "mine") == status
     given = injected(project / "mine" / "01_first.ipynb").source
-    assert "record = '2.50'" in given
+    assert 'record = "2.50"' in given
     assert "width = -50.0" in given
     files = {path.name for path in (project / "mine").iterdir()}
     assert files == {"01_first.ipynb", "01_first.log.txt"}
