@@ -5,9 +5,10 @@ Nothing in this folder refers to either of them.
 
 from microlib.focus.common._depth_map import DepthMap
 from microlib.focus.common._filters import TINY, blur, doubled, halved, ratio
-from microlib.focus.common._planes import Spread, smooth_planes
+from microlib.focus.common._planes import smooth_planes
 from microlib.focus.common._significance import peak_significance
 from microlib.focus.common._symmetry import Symmetry, find_symmetry, shape_error
+from microlib.focus.common._threads import Spread, run_jobs
 
 __all__ = [
     "TINY",
@@ -20,6 +21,7 @@ __all__ = [
     "halved",
     "peak_significance",
     "ratio",
+    "run_jobs",
     "shape_error",
     "smooth_planes",
 ]

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from microlib._common import tukey_weights
-
-#: Applies a function to each of some items, as `map` does, perhaps in several threads.
-Spread = Callable[..., Iterable[Any]]
+from microlib.focus.common._threads import Spread
 
 #: Rows and columns that are smoothed at a time. All their neighbors stay in the processor's cache.
 #: A product of matrices with more columns is shared among the threads of OpenBLAS, which takes ten

@@ -60,7 +60,7 @@ def multiscale_depth(
         axis = describe_axis(frames, positions, settings, spread)
         fits = fit_stack(frames, axis, settings, spread=spread, done=done)
         strength = typical(fits.strength)
-        peaks = find_peaks(fits, axis, settings, strength)
+        peaks = find_peaks(fits, axis, settings, strength, spread=spread)
         for rule in rules:
             peaks = peaks.without(rule(peaks, settings))
         refined = refine(peaks, fits, axis, settings, strength, spread=spread)

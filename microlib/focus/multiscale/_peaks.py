@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import blur, doubled, peak_significance
+from microlib.focus.common import Spread, blur, doubled, peak_significance, run_jobs
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import despiked, fill_nearest, relative
@@ -68,7 +68,14 @@ class Peaks:
         return (self.depth < self.wide_low - gap) | (self.depth > self.wide_high + gap)
 
 
-def find_peaks(fits: Fits, axis: Axis, settings: FocusSettings, typical_strength: float) -> Peaks:
+def find_peaks(
+    fits: Fits,
+    axis: Axis,
+    settings: FocusSettings,
+    typical_strength: float,
+    *,
+    spread: Spread = map,
+) -> Peaks:
     """Choose the peak of each pixel: of the narrow measures on its own side, or of the wide one.
 
     Parameters
@@ -79,21 +86,31 @@ def find_peaks(fits: Fits, axis: Axis, settings: FocusSettings, typical_strength
         As for `fit_stack`.
     typical_strength : float
         Median of the strengths, of the whole image.
+    spread : callable
+        `map`, or that of a pool of threads.
     """
     significance = peak_significance(fits.profiles, fits.top, 2)
     depth = np.where(significance.insignificant, _NAN, fits.depth)
-    filled = despiked(fill_nearest(depth))
-    own, disagreement = choose_side(filled, fill_nearest(fits.edge), settings.jump)
     wide = np.where(significance.near_texture, doubled(fits.wide, depth.shape), _NAN)
-    low, high, slope = wide_range(wide, settings)
-    # The median ignores the edges of what is narrow, where the measures always disagree.
-    local = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
-    sure_detail, probable_detail = detail_masks(fits, axis, settings)
+
+    def chosen() -> tuple[NDArray, NDArray, NDArray]:
+        filled = despiked(fill_nearest(depth))
+        own, disagreement = choose_side(filled, fill_nearest(fits.edge), settings.jump)
+        # The median ignores the edges of what is narrow, where the measures always disagree.
+        local = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
+        return despiked(own), disagreement, cv2.blur(local, (settings.local_window,) * 2)
+
+    (own, disagreement, local), (low, high, slope), (sure_detail, probable_detail) = run_jobs(
+        spread,
+        chosen,
+        lambda: wide_range(wide, settings),
+        lambda: detail_masks(fits, axis, settings),
+    )
     peaks = Peaks(
-        depth=np.where(np.isnan(depth), _NAN, despiked(own)),
+        depth=np.where(np.isnan(depth), _NAN, own),
         weight=relative(fits.strength, typical_strength),
         disagreement=disagreement,
-        local_disagreement=np.asarray(cv2.blur(local, (settings.local_window,) * 2), np.float32),
+        local_disagreement=local,
         sure_detail=sure_detail,
         probable_detail=probable_detail,
         wide_low=low,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import Spread, smooth_planes
+from microlib.focus.common import Spread, run_jobs, smooth_planes
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, relative
@@ -60,13 +60,17 @@ def refine(
     attenuation = locking_attenuation(smooth)
     locking = peak_locking_bias(smooth, axis) * attenuation
     depth = smooth - locking
-    variance = error_variance(depth + relief, half_difference, peaks.disagreement, settings)
+    variance, thin = run_jobs(
+        spread,
+        lambda: error_variance(depth + relief, half_difference, peaks.disagreement, settings),
+        lambda: thin_object_error(depth, fits, settings, typical_strength),
+    )
     drift = np.interp(np.nan_to_num(depth), axis.coordinates, axis.drift_bias).astype(np.float32)
     # Peak locking depends on texture: up to half of it remains.
     variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
     constant, periodic = axis.shape_error
     variance += np.float32(constant**2) + np.float32(periodic**2) * attenuation**2
-    variance += thin_object_error(depth, fits, settings, typical_strength) ** 2
+    variance += thin**2
     return Refined(depth=depth, relief=relief, error=np.sqrt(variance))
 
 
