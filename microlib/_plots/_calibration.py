@@ -37,30 +37,29 @@ def marks(
         large = np.quantile(np.hypot(*residuals.T), 0.95)
         apart = np.sqrt(np.ptp(detections[0].points, axis=0).prod() / len(detections[0].points))
         factor = rounded_down(apart / large) if large > 0 else 1.0
-    for number, (panel_ax, detection, part) in enumerate(
-        zip(axes, detections, parts, strict=False)
-    ):
-        if images is not None:
-            show_image(panel_ax, images[number])
-        else:
+    photographs = [None] * len(detections) if images is None else images
+    panels = zip(axes, detections, photographs, parts, strict=False)
+    for panel_ax, detection, image, part in panels:
+        if image is None:
             panel_ax.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
+        else:
+            show_image(panel_ax, image)
         _draw_view(panel_ax, detection, part, factor, 5 if len(axes) == 1 else 2)
     return axes[0].figure
 
 
-def _draw_view(
-    ax: Any, detection: Any, residuals: NDArray | None, factor: float, labels: int
-) -> None:
-    ax.plot(*detection.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
-    every = ceil((np.ptp(detection.grid, axis=0).max() + 1) / labels)
-    labeled = (detection.grid % every == 0).all(axis=1)
+def _draw_view(ax: Any, view: Any, residuals: NDArray | None, factor: float, labels: int) -> None:
+    """Draw the marks of one detection, their grid coordinates and their magnified residuals."""
+    ax.plot(*view.points.T, "o", ms=3, mfc="none", mew=0.7, color=FOUND)
+    every = ceil((np.ptp(view.grid, axis=0).max() + 1) / labels)
+    labeled = (view.grid % every == 0).all(axis=1)
     box = {"color": "white", "alpha": 0.6, "pad": 0.5}
-    for (x, y), (i, j) in zip(detection.points[labeled], detection.grid[labeled], strict=True):
+    for (x, y), (i, j) in zip(view.points[labeled], view.grid[labeled], strict=True):
         ax.annotate(f"{i},{j}", (x, y), (4, 4), textcoords="offset points", color="black", bbox=box)
-    title = f"{len(detection.points)} points"
+    title = f"{len(view.points)} points"
     if residuals is not None:
         scale = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
-        ax.quiver(*detection.points.T, *(factor * residuals).T, **scale, color=OFF)
+        ax.quiver(*view.points.T, *(factor * residuals).T, **scale, color=OFF)
         rms = np.sqrt((residuals**2).sum(axis=1).mean())
         title += f"\n{rms:.2g} px rms (red, × {factor:g})"
     ax.set_title(title)
