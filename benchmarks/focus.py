@@ -1,4 +1,4 @@
-"""Shape from focus beside other measures, and what each step contributes.
+"""Shape from focus beside other measures, and what each stage contributes.
 
 Run as ``python -m benchmarks focus``; takes two minutes.
 """
@@ -26,14 +26,14 @@ from microlib.focus.multiscale._depth import RULES, FocusSettings, multiscale_de
 from tests.focus.scenes import NAMES
 from tests.scenes import straight_step, tilted_plane
 
-#: Frames of every stack, one step apart; blur grows by 1 px a step.
+#: Frames of every stack, 1 µm apart; blur grows by 1 px a frame.
 POSITIONS = np.arange(21.0)
 INNER = np.s_[16:-16, 16:-16]
 
 #: Titles of the tables.
-SCENE_TABLE = "RMS depth error, steps between frames"
-PHOTOGRAPH_TABLE = "Photographs as texture, noise 2: RMS depth error in steps (× the best other's)"
-STEP_TABLE = "Default depth with one step left out, over the full default"
+SCENE_TABLE = "RMS depth error, frame spacings"
+PHOTOGRAPH_TABLE = "Photographs as texture, noise 2: RMS depth error in frames (× the best other's)"
+STAGE_TABLE = "Default depth with one stage left out, over the full default"
 SETTING_TABLE = "Twice and half of a setting, over the usual one"
 
 
@@ -119,7 +119,7 @@ METHODS: dict[str, Callable[[NDArray], NDArray]] = {
 
 
 def scenes(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
-    """Yield name, true depth in steps, and stack."""
+    """Yield name, true depth in frames, and stack."""
     middle = POSITIONS.mean()
 
     def stack(
@@ -219,12 +219,12 @@ PHOTOGRAPHS = (
 )
 
 
-#: Those of them on which the steps are left out, one at a time.
-STEP_PHOTOGRAPHS = ("brick", "camera", "clock", "coins", "moon", "retina")
+#: Those of them on which the stages are left out, one at a time.
+STAGE_PHOTOGRAPHS = ("brick", "camera", "clock", "coins", "moon", "retina")
 
 
 def photographed() -> Iterator[tuple[str, str, NDArray, NDArray]]:
-    """Yield photograph, surface, true depth in steps, and stack."""
+    """Yield photograph, surface, true depth in frames, and stack."""
     side = 256
     shape = (side, side)
     surfaces = {
@@ -270,7 +270,7 @@ def photographs() -> pd.DataFrame:
     return table
 
 
-# --- What the steps and settings of the default depth contribute ---------------------------------
+# --- What the stages and settings of the default depth contribute --------------------------------
 
 
 def _measured(stacks: list, **options: Any) -> NDArray:
@@ -292,12 +292,12 @@ def _compared(found: NDArray, full: NDArray) -> dict[str, str]:
     return {
         "RMS": f"{mean:.2f} ({ratio.min():.2f} to {ratio.max():.2f})",
         "NaN": f"{unknown:+.2f}",
-        "off by > 1 step": f"{gross:+.2f}",
+        "off by > 1 frame": f"{gross:+.2f}",
     }
 
 
-def steps() -> pd.DataFrame:
-    """Return what happens to the default depth without each of its rules and some other steps."""
+def stages() -> pd.DataFrame:
+    """Return what happens to the default depth without each of its rules and some other stages."""
     dense = render(drawn(0), tilted(), 0, noise=3.0, factor=4)  # truth in its frames
     cases = {
         "scenes": [
@@ -305,11 +305,11 @@ def steps() -> pd.DataFrame:
             (4 * dense.depth, dense.stack),
         ],
         "photographs": [
-            (truth, stack) for name, _, truth, stack in photographed() if name in STEP_PHOTOGRAPHS
+            (truth, stack) for name, _, truth, stack in photographed() if name in STAGE_PHOTOGRAPHS
         ],
     }
     full = {kind: _measured(stacks) for kind, stacks in cases.items()}
-    # A setting that no peak reaches turns its step off.
+    # A setting that no peak reaches turns its stage off.
     without: dict[str, dict[str, Any]] = {
         "averaged frames": {"settings": FocusSettings(width=np.inf)},
         "wide windows": {"settings": FocusSettings(wide_slope=0.0)},
@@ -370,8 +370,8 @@ def limits(tables: Tables) -> Limits:
     photos = tables[PHOTOGRAPH_TABLE].filter(like="error").stack().str.extract(r"×([\d.]+)")[0]
     photos = photos.dropna().astype(float)
     return [
-        ("paraboloid, noise 1: RMS error, steps", error[paraboloids[0]], "≤", 0.045),
-        ("paraboloid, noise 5: RMS error, steps", error[paraboloids[1]], "≤", 0.050),
+        ("paraboloid, noise 1: RMS error, frames", error[paraboloids[0]], "≤", 0.045),
+        ("paraboloid, noise 5: RMS error, frames", error[paraboloids[1]], "≤", 0.050),
         (f"error over the best other's, worst of {len(others)} scenes", others.max(), "≤", 0.75),
         (f"the same, worst of {len(photos)} with photographs", photos.max(), "≤", 0.75),
     ]
@@ -385,11 +385,11 @@ outermost 16 px.
   of `microlib`. The rules that reject a depth were developed with the domes of brick, camera,
   coins and moon. The other photographs were not used before. Four balls and the stereo scene miss
   the limit of 0.75, because of their vertical edges.
-- *Steps* and *settings.* One step of the method is left out, or one setting is changed. Each row
+- *Stages* and *settings.* One stage of the method is left out, or one setting is changed. Each row
   has the ratio of the RMS error to the RMS error of the full default (geometric mean, smallest and
   largest). It also has the change of two shares, in percent of all pixels: the pixels without a
-  depth, and the pixels that are wrong by more than a focus step. The data are 13 scenes of one
-  seed, a slope in four times the frames, and all surfaces of six photographs. Without a step of
+  depth, and the pixels that are wrong by more than a frame. The data are 13 scenes of one
+  seed, a slope in four times the frames, and all surfaces of six photographs. Without a stage of
   the method, more pixels can have a depth and count in the error. A ratio below 1 together with
   more unknown pixels is therefore not an improvement.
 """
@@ -399,7 +399,7 @@ def main() -> tuple[Tables, Limits]:
     tables = accuracy(2)
     tables |= {
         PHOTOGRAPH_TABLE: photographs(),
-        STEP_TABLE: steps(),
+        STAGE_TABLE: stages(),
         SETTING_TABLE: settings(),
     }
     return tables, limits(tables)

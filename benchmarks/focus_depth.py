@@ -22,20 +22,20 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.focus.scenes import NAMES
 
-#: Side of a frame and border that is left out, px; frames at one a step; seeds, none of which was
+#: Side of a frame and border that is left out, px; number of frames, 1 µm apart; seeds, none of which was
 #: used while constants were chosen.
 SIDE, BORDER, COUNT, SEEDS = 192, 12, 21, (100, 101)
 
 SCALE_TABLE = "Same scene and travel, more frames of noise 3: RMS error in spacings of the 1× stack"
-RELIEF_TABLE = "Relief A·sin·sin, noise 2: RMS error in steps, mean of the seeds"
+RELIEF_TABLE = "Relief A·sin·sin, noise 2: RMS error in frames, mean of the seeds"
 STATED_TABLE = "RMS error over stated uncertainty, by decile of the stated uncertainty, worst seed"
-STEEP_TABLE = "Steep roofs, noise 2: RMS error in steps"
-OTHER_TABLE = "Bars, bare ground and moving lenses, compared with SML: depths in steps"
+STEEP_TABLE = "Steep roofs, noise 2: RMS error in frames"
+OTHER_TABLE = "Bars, bare ground and moving lenses, compared with SML: depths in frames"
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Positions, true depth and stack; lengths along the axis in steps of the plainest stack."""
+    """Positions, true depth and stack; lengths along the axis in frames of the plainest stack."""
 
     positions: NDArray
     depth: NDArray
@@ -64,7 +64,7 @@ def blended(ladder: NDArray, blurs: NDArray, blur: NDArray) -> NDArray:
 def render(
     texture: NDArray, depth: NDArray, seed: int, *, noise: float = 2.0, factor: int = 1
 ) -> Scene:
-    """Render a smooth surface, every pixel with its own blur of 1 px a step."""
+    """Render a smooth surface, every pixel with its own blur of 1 px a frame."""
     rng = np.random.default_rng(seed)
     positions = np.linspace(0, COUNT - 1, (COUNT - 1) * factor + 1)
     furthest = max(positions[-1] - depth.min(), depth.max())
@@ -172,7 +172,7 @@ def relief() -> pd.DataFrame:
             found.append((rms(inner(depth - scene.depth)), best, gain))
         ours, theirs, gain = np.mean(found, axis=0)
         rows.append((period, amplitude, ours, theirs, ours / theirs, gain))
-    columns = ["period, px", "A, steps", "microlib", "best SML", "ratio", "gain"]
+    columns = ["period, px", "A, frames", "microlib", "best SML", "ratio", "gain"]
     return pd.DataFrame(rows, columns=columns).round(3)
 
 
@@ -223,13 +223,13 @@ def stated() -> pd.DataFrame:
 
 
 def steep() -> pd.DataFrame:
-    """Return errors on roofs of 14 steps."""
+    """Return errors on roofs of 14 frames."""
     rows = []
     for slope in (0.6, 1.0):
         period = round(28 / slope)
         roof = np.tile(16 - slope * np.abs(np.arange(SIDE) % period - 14 / slope), (SIDE, 1))
         errors = [error_of(render(drawn(s), roof.clip(1, 19), s)) for s in SEEDS]
-        rows.append((f"roof of {slope} steps/px", np.mean([rms(e) for e in errors])))
+        rows.append((f"roof of {slope} frames/px", np.mean([rms(e) for e in errors])))
     return pd.DataFrame(rows, columns=["surface", "RMS error"]).round(3)
 
 
@@ -254,7 +254,7 @@ def lens_that_moves(seed: int, vertex: float) -> Scene:
 
 
 def thin_bar(seed: int, width: int) -> tuple[Scene, NDArray]:
-    """Render a bar 12 steps above ground of the same kind of texture, and return where it is."""
+    """Render a bar 12 frames above ground of the same kind of texture, and return where it is."""
     rng, bar = np.random.default_rng(seed), np.zeros((SIDE, SIDE), np.float32)
     bar[:, SIDE // 2 : SIDE // 2 + width] = 1
     near, far = drawn(seed), drawn(seed + 50)
@@ -300,7 +300,7 @@ def limits(tables: Tables) -> Limits:
     more = tables[SCALE_TABLE]
     rises = np.maximum(more["4×"] / more["1×"], more["20×"] / more["4×"]).max()
     unknown = more.filter(like="NaN").to_numpy()
-    fine = tables[RELIEF_TABLE].set_index(["period, px", "A, steps"])
+    fine = tables[RELIEF_TABLE].set_index(["period, px", "A, frames"])
     told = tables[STATED_TABLE]
     even = told[told["kind"] == "smooth"]
     lines = [
@@ -331,14 +331,14 @@ def limits(tables: Tables) -> Limits:
 
 NOTE = """\
 The stacks are rendered by formulas that the method does not use. They have 21 frames of 192×192
-px. The blur grows by 1 px per focus step. Its shape is a disc for even seeds and a Gaussian for
+px. The blur grows by 1 px per frame. Its shape is a disc for even seeds and a Gaussian for
 odd seeds. The outermost 12 px are left out. These seeds and photographs were not used to choose
 constants.
 
 - *Deciles*: pixels are sorted by their stated uncertainty. The RMS error of each tenth is divided
   by the RMS of the stated uncertainty.
 - *Certain* depths have a stated standard deviation below a fifth of the scan. *Silently wrong*
-  depths are wrong by more than a focus step and by more than three times the stated standard
+  depths are wrong by more than a frame and by more than three times the stated standard
   deviation.
 """
 

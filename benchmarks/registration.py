@@ -22,7 +22,7 @@ from compendium.experiments.disc_blur import disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 
-#: Frames of every stack, one step apart; the disc's radius grows by 1.5 px a step.
+#: Frames of every stack, 1 µm apart; the disc's radius grows by 1.5 px a frame.
 COUNT, RATE = 21, 1.5
 POSITIONS = np.arange(float(COUNT))
 MIDDLE = COUNT // 2

@@ -11,13 +11,13 @@ from microlib.focus.multiscale import (
     _axis,
     _fit,
     _measure,
+    _peaks,
     _relief,
     _rules,
     _settings,
     _tiles,
     multiscale_depth,
 )
-from microlib.focus.multiscale._peaks import Peaks
 from tests.focus.scenes import gaussian_blur, inner, rms, stack_of
 from tests.scenes import tilted_plane
 
@@ -154,6 +154,21 @@ def test_find_relief_keeps_what_both_directions_show_and_drops_what_one_shows():
 # --- Rules that reject a peak --------------------------------------------------------------------
 
 
+def test_relief_is_finite_beside_ground_without_weight():
+    """Sums that run along a row leave a rounding residue there, by which nothing may be divided."""
+    rng, weight = np.random.default_rng(7), np.zeros((120, 160), np.float32)
+    weight[:, :60] = rng.uniform(0.01, 1, (120, 60))
+    for _ in range(10):
+        along, down = (
+            (rng.normal(0, 1, weight.shape) * 10.0 ** rng.uniform(-9, 0, weight.shape)).astype("f4")
+            for _ in range(2)
+        )
+        relief, half_difference = _relief.find_relief(
+            along, down, weight, _settings.FocusSettings()
+        )
+        assert np.abs([relief, half_difference]).max() < 10
+
+
 def test_rules_reject_small_pieces_and_isolated_depths_only():
     """Pieces of 14 px, half a circle of 3 px, and depths where most of such a circle has none."""
     depth = np.full((60, 72), 5.0, np.float32)
@@ -163,7 +178,9 @@ def test_rules_reject_small_pieces_and_isolated_depths_only():
     depth[alone] = 5.0
     zero = np.zeros_like(depth)
     no, bounds = zero > 0, (zero, zero + 9)
-    peaks = Peaks(depth, zero + 1, zero, zero, no, no, *bounds, zero, zero.astype(np.uint16), 5)
+    peaks = _peaks.Peaks(
+        depth, zero + 1, zero, zero, no, no, *bounds, zero, zero.astype(np.uint16), 5
+    )
     for rule in _rules.RULES:
         peaks = peaks.without(rule(peaks, _settings.FocusSettings()))
     depth[small] = depth[alone] = np.nan

@@ -8,8 +8,6 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from microlib.focus.multiscale._relief import find_relief
-from microlib.focus.multiscale._settings import FocusSettings
 from tests.focus.scenes import inner, rms, stack_of
 from tests.scenes import straight_step, tilted_plane
 
@@ -67,19 +65,6 @@ def test_errors_are_as_stated_in_every_decile(name, height, texture):
     ratio = deciles(error[known], stated[known])
     assert ratio.min() > (0.5 if name in ("tilt", "dome of gravel") else 0.25)
     assert ratio.max() < (2.6 if name == "cone" else 2)
-
-
-def test_relief_is_finite_beside_ground_without_weight():
-    """Sums that run along a row leave a rounding residue there, by which nothing may be divided."""
-    rng, weight = np.random.default_rng(7), np.zeros((120, 160), np.float32)
-    weight[:, :60] = rng.uniform(0.01, 1, (120, 60))
-    for _ in range(10):
-        along, down = (
-            (rng.normal(0, 1, weight.shape) * 10.0 ** rng.uniform(-9, 0, weight.shape)).astype("f4")
-            for _ in range(2)
-        )
-        relief, half_difference = find_relief(along, down, weight, FocusSettings())
-        assert np.abs([relief, half_difference]).max() < 10
 
 
 def test_depths_between_frames_are_not_biased_towards_the_frames():
