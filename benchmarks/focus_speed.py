@@ -28,6 +28,7 @@ ROUNDS, PASSES = 3, 50
 
 TIME = "CPU time of one thread, 21 frames of 1024×1024, passes of cv2.boxFilter 5×5"
 REGISTERED = "CPU time of 21 frames of 512×512 px with registration over that without"
+WORKERS = "Elapsed time of one worker over that of two, two idle cores"
 MEMORY = "Peak memory beyond the frames, bytes a pixel"
 
 
@@ -101,10 +102,13 @@ def main() -> tuple[Tables, Limits]:
     )
     command = [sys.executable, "-c", WEIGH]
     memory = float(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    one, two = (partial(depth_from_focus, slope, POSITIONS, workers=n) for n in (1, 2))
+    *_, gain = paired_times(one, two, rounds=ROUNDS)
     rows = [(name, round(ratio, 1)) for name, ratio in times.items()]
     tables = {
         TIME: pd.DataFrame(rows, columns=["scene", "passes, median"]),
         REGISTERED: pd.DataFrame([("slope", round(registered, 2))], columns=["scene", "ratio"]),
+        WORKERS: pd.DataFrame([("slope", round(gain, 2))], columns=["scene", "ratio"]),
         MEMORY: pd.DataFrame([("default", round(memory))], columns=["what", "bytes"]),
     }
     limits: Limits = [
@@ -112,6 +116,7 @@ def main() -> tuple[Tables, Limits]:
         ("default depth of a step, passes", times["step"], "≤", 75),
         ("default depth of a step with holes, passes", times["step, holes"], "≤", 75),
         ("registration over depth alone, 512×512", registered - 1, "≤", 1.0),
+        ("time of one worker over that of two", gain, "≥", 1.6),
         ("memory, bytes a pixel", memory, "≤", 180),
     ]
     return tables, limits

@@ -73,7 +73,7 @@ LEVEL = 1e-3
 #: Public, but not called here: a category of warnings, and a picture, as below.
 NOT_CALLED = {"membrane.SmallSlopeWarning", "tracking.plot_track"}
 #: Methods that take nothing, and pictures, whose tests are tests/test_plots.py.
-WITHOUT = {"to_dict", "to_frame", "to_xarray", "plot"}
+WITHOUT = {"to_dict", "to_frame", "plot"}
 
 
 def public() -> Iterator[str]:

@@ -28,11 +28,11 @@ class FocusResult(Tidy):
         Standard deviation of the depth, µm; NaN where `depth` is. With "multiscale" it covers noise
         and relief that cannot be separated from noise (from the difference of the depths by
         horizontal and by vertical detail), slopes and steps, where a pixel may belong to either
-        side, illumination that changes from frame to frame, asymmetric peaks, and objects too thin
-        to be resolved. It does not cover a bias of the whole map. With other measures it is the
-        roughness of the depth and the bias by asymmetric peaks and by peak locking, as far as the
-        middles of the peaks show it. It does not contain other errors that are smooth over ten
-        pixels.
+        side, illumination that changes from frame to frame, objects too thin to be resolved, and
+        the bias by the shape of the peaks, both its part that is common to the whole map and the
+        part that changes between two frames. With other measures it covers the roughness of the
+        depth and the same bias, but no other error that is smooth over ten pixels. Errors of the
+        positions and the field curvature of the lens are never part of it.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.
@@ -111,31 +111,6 @@ class FocusResult(Tidy):
                 "at_end": self.at_end.mean(),
             }
         )
-
-    def to_xarray(self) -> Any:
-        """Return the maps with their coordinates; needs xarray.
-
-        Returns
-        -------
-        xarray.Dataset
-            Depth, uncertainty, confidence, frame number, all-in-focus image and `at_end`, over y
-            and x in µm if the pixel size is known.
-        """
-        import xarray  # optional
-
-        found = xarray.Dataset(
-            {
-                name: (("y", "x", "channel")[: values.ndim], values)
-                for name, values in vars(self).items()
-                if name in ("depth", "uncertainty", "confidence", "index", "all_in_focus", "at_end")
-            }
-        )
-        for name in ("depth", "uncertainty"):
-            found[name].attrs["units"] = "µm"
-        if self.pixel_size is not None:
-            for axis, first, count in zip("xy", self.origin, self.depth.shape[::-1], strict=True):
-                found[axis] = (axis, first + self.pixel_size * np.arange(count), {"units": "µm"})
-        return found
 
     def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
         """Draw the maps by Matplotlib: all in focus, height and uncertainty.
