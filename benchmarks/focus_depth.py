@@ -22,8 +22,8 @@ from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.focus.scenes import NAMES
 
-#: Side of a frame and border that is left out, px; number of frames, 1 µm apart; seeds, none of which was
-#: used while constants were chosen.
+#: Side of a frame and border that is left out, px; number of frames, 1 µm apart; seeds, none of
+#: which was used while constants were chosen.
 SIDE, BORDER, COUNT, SEEDS = 192, 12, 21, (100, 101)
 
 SCALE_TABLE = "Same scene and travel, more frames of noise 3: RMS error in spacings of the 1× stack"
