@@ -214,6 +214,40 @@ def test_capsule_modulus_allows_slack_middle() -> None:
     assert found.modulus == pytest.approx(2.15, rel=0.03)
 
 
+def test_uninflated_capsule_is_found() -> None:
+    wall = SHELL | {"law": "hooke"}
+    state = indent_capsule(30.0, modulus=0.7, inflation=1.0, **wall)
+    found = capsule_modulus(30.0, state.rim_radius, state.depth, **wall)
+    assert found.modulus == pytest.approx(0.7, rel=1e-5)
+
+
+def test_exponents_are_slopes_of_logarithm_of_modulus() -> None:
+    lengths = {"rim_radius": 190.0, "depth": 68.0, "probe_half_width": C, "capsule_radius": R}
+    known: dict[str, Any] = {"thickness": H, "poisson_ratio": 0.3, "law": "hooke"}
+    exponents = capsule_modulus(100.0, **lengths, **known).exponents
+    assert list(exponents) == list(lengths)
+    for name, length in lengths.items():
+        less, more = (
+            capsule_modulus(100.0, **lengths | {name: by * length}, **known).modulus
+            for by in (0.99, 1.01)
+        )
+        assert exponents[name] == pytest.approx(np.log(more / less) / 0.02, rel=0.02), name
+
+
+@pytest.mark.parametrize(
+    ("half_width", "inflation", "force"),
+    [(40.0, 1.03, 20.0), (60.0, 1.03, 40.0), (40.0, 1.05, 30.0), (60.0, 1.02, 30.0)],
+)
+def test_dimple_of_two_capsules_is_rejected(
+    half_width: float, inflation: float, force: float
+) -> None:
+    """Another inflation and modulus have the same force, rim and depth, or nearly so."""
+    wall = SHELL | {"probe_half_width": half_width}
+    state = indent_capsule(force, modulus=1.0, inflation=inflation, **wall)
+    with pytest.raises(ValueError, match="the depth does not determine the modulus"):
+        capsule_modulus(force, state.rim_radius, state.depth, **wall)
+
+
 @pytest.mark.parametrize(
     ("force", "law", "inflation", "message"),
     [

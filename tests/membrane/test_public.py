@@ -48,6 +48,7 @@ def geometry(u) -> dict:
     return dimple(u) | {"probe_half_width": C * u.um}
 
 
+EXPONENTS = dict.fromkeys(("rim_radius", "depth", "probe_half_width", "capsule_radius"), NUMBER)
 LAWS = {
     "membrane.elastic_modulus": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
         MPa),
@@ -76,7 +77,7 @@ LAWS = {
         "capsule_radius": R * u.um, **wall(u), **RUBBER, "inflation": 1.04}, STATE, within=1e-6),
     "membrane.capsule_modulus": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
         "depth": 70.0 * u.um, "capsule_radius": R * u.um, **wall(u), **STEEL}, {"modulus": MPa,
-        "inflation": NUMBER, "state": STATE}, within=1e-6),
+        "inflation": NUMBER, "exponents": EXPONENTS, "state": STATE}, within=1e-6),
 }  # fmt: skip
 
 

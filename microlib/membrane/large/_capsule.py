@@ -6,7 +6,7 @@ volume is constant during a test.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,12 +33,17 @@ class CapsuleModulus(Tidy):
         Elastic modulus E at small strain, in MPa.
     inflation : float
         Stretch of the wall before the test.
+    exponents : dict of str to float
+        Relative change of the modulus per relative change of each length: of ``rim_radius``,
+        ``depth``, ``probe_half_width`` and ``capsule_radius``. The modulus is proportional to the
+        force and to the inverse of the thickness.
     state : MembraneState
         The capsule of the given shape.
     """
 
     modulus: float
     inflation: float
+    exponents: dict[str, float]
     state: MembraneState
 
 
@@ -193,12 +198,14 @@ def capsule_modulus(
     Returns
     -------
     CapsuleModulus
-        `modulus` (MPa), `inflation`, and the `state` of the capsule, as from `indent_capsule`.
+        `modulus` (MPa), `inflation`, the `exponents` of the lengths in the modulus, and the `state`
+        of the capsule, as from `indent_capsule`.
 
     Raises
     ------
     ValueError
-        If an argument is out of its range, or if no inflated capsule has this shape.
+        If an argument is out of its range, if no inflated capsule has this shape, or if the depth
+        does not determine the modulus, see Notes.
 
     Warns
     -----
@@ -211,6 +218,12 @@ def capsule_modulus(
     :math:`p = F/(\pi a^2)`. The shape depends on the inflation and on F/(E h R) alone, and a/R and
     w_d/R determine both. The modulus is sensitive to R: at the dimple of the thesis, E is 2.15 MPa
     for R = 500 µm and 0.84 MPa for 700 µm.
+
+    With increasing inflation at the same rim, the depth increases to a maximum and decreases to
+    that of a uniform tension. Near the maximum, two capsules of different moduli have the same
+    dimple, and the depth hardly depends on the modulus. A dimple is therefore rejected if 1 % of
+    its depth changes the modulus by more than 20 %, or if the modulus increases with the depth.
+    Such dimples are shallow or under a wide probe.
 
     Examples
     --------
@@ -236,17 +249,44 @@ def capsule_modulus(
             material, c / r0, PrescribedDimple(a / r0, deep / r0)
         ).solve()
         u = problem.unpack(solution.p)
-        if u.inflation < 1:
+        if u.inflation < 1 - 1e-6:  # the residual of the solution
             raise ValueError(f"an inflation of {u.inflation:.4f} would be needed")
         modulus = load / (u.force * h * r0)
         state = _state(problem, solution, modulus, h, r0)
+        exponents = _exponents(problem, solution)
+        if not -20 < (exponent := exponents["depth"]) < 0:
+            raise ValueError(
+                "the depth does not determine the modulus, because 1 % of the depth changes the "
+                f"modulus of {modulus:.3g} MPa by {exponent:.0f} %"
+            )
     except ValueError as reason:
         raise ValueError(
             f"depth must be one that a capsule of radius {r0:g} has at rim_radius {a:g}, "
             f"got {deep:g}: {reason}"
         ) from None
     warn_if_implausible(modulus)
-    return CapsuleModulus(modulus, float(u.inflation), state)
+    return CapsuleModulus(modulus, float(u.inflation), exponents, state)
+
+
+def _exponents(problem: CapsuleProblem, solution: Any) -> dict[str, float]:
+    """Return the exponents of the lengths in the modulus, from solutions for other lengths."""
+    growth = 1.001
+    given: Any = problem.given
+    changed = {
+        "rim_radius": replace(problem, given=replace(given, rim=growth * given.rim)),
+        "depth": replace(problem, given=replace(given, depth=growth * given.depth)),
+        "probe_half_width": replace(problem, probe=growth * problem.probe),
+    }
+    force, exponents = problem.unpack(solution.p).force, {}
+    for name, other in changed.items():
+        near = other.collocate((solution.x, solution.y, solution.p))
+        if near is None:
+            raise ValueError("the solver does not converge")
+        ratio = force / other.unpack(near.p).force
+        exponents[name] = float(np.log(ratio) / np.log(growth))
+    # E h R/F depends on the ratios of the lengths alone.
+    exponents["capsule_radius"] = -1 - sum(exponents.values())
+    return exponents
 
 
 def _check_sizes(
