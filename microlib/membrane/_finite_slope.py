@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from microlib._common import poisson, scalar
-from microlib.membrane._point_load import GAUSS
+from microlib.membrane._point_load import GAUSS, check_bending
 
 
 def steepest_depth(rim_radius: float, *, probe_half_width: float) -> float:
@@ -76,7 +76,12 @@ def finite_slope_modulus(
     ------
     ValueError
         If an argument is out of its range or is not a single number, or if `dimple_depth` is above
-        `steepest_depth`, where no uniform stress balances the force.
+        `steepest_depth`, where no uniform stress balances the force, or below the thickness.
+
+    Warns
+    -----
+    UserWarning
+        If `dimple_depth` is below two thicknesses, where bending carries a part of the force.
 
     Notes
     -----
@@ -97,6 +102,7 @@ def finite_slope_modulus(
     load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
     h = scalar("thickness", thickness, above=0)
     nu = poisson(poisson_ratio)
+    check_bending("dimple_depth", depth, h)
     if depth > (steepest := _depth(1.0, a, c)):
         raise ValueError(
             f"dimple_depth must be at most {steepest:.4g} µm (steepest_depth), since no uniform "

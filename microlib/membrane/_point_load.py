@@ -81,14 +81,16 @@ def elastic_modulus(
     ------
     ValueError
         If a length or the force is not positive, `probe_half_width` is not below `rim_radius`,
-        `poisson_ratio` is outside (−1, 0.5], a value is not finite, or the shapes do not broadcast.
+        `poisson_ratio` is outside (−1, 0.5], a value is not finite, the shapes do not broadcast, or
+        a dimple is less deep than the membrane is thick.
 
     Warns
     -----
     SmallSlopeWarning
         If a dimple has w_d/a above `SmallSlopeWarning.limit`.
     UserWarning
-        If a modulus is above that of steel, 2·10⁵ MPa, or below 10 Pa. Lengths in mm or m and
+        If a dimple is less deep than two thicknesses, where bending carries a part of the force, or
+        if a modulus is above that of steel, 2·10⁵ MPa, or below 10 Pa. Lengths in mm or m and
         forces in N lead to such values.
 
     See Also
@@ -120,6 +122,7 @@ def elastic_modulus(
         rim_radius, dimple_depth, probe_half_width, thickness, poisson_ratio, force=force
     )
     _warn_if_steep(values["rim_radius"], values["dimple_depth"])
+    check_bending("dimple_depth", values["dimple_depth"], values["thickness"])
     modulus = values["force"] / force_per_modulus(values)
     warn_if_implausible(modulus)
     return modulus
@@ -463,6 +466,26 @@ def warn_if_implausible(modulus: ArrayLike) -> None:
         warnings.warn(
             f"a modulus of {outside[-1]:.3g} MPa is outside the range of membranes: lengths must "
             "be in µm and forces in µN",
+            stacklevel=3,
+        )
+
+
+def check_bending(name: str, depth: ArrayLike, thickness: ArrayLike) -> None:
+    """Raise for a dimple less deep than the membrane is thick, and warn up to twice the thickness.
+
+    The force on a clamped plate that only bends is F = 16π D w_d/a² with D = E h³/(12(1 − ν²)). At
+    w_d = h, c/a = 0.1 and ν = 0.5 it is 3.3 times the force of (4.7), and at 2h it is 0.8 times.
+    """
+    shallowest = float(np.min(np.divide(depth, thickness)))
+    if shallowest < 1:
+        raise ValueError(
+            f"{name} must be at least the thickness, since a shallower membrane resists mainly by "
+            f"bending, got {shallowest:.2g} times the thickness"
+        )
+    if shallowest < 2:
+        warnings.warn(
+            f"{name} is {shallowest:.2g} times the thickness: below two thicknesses the modulus is "
+            "too high, because the model omits bending",
             stacklevel=3,
         )
 

@@ -99,7 +99,9 @@ def test_disc_modulus_is_found_near_largest_depth() -> None:
 @pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
 @pytest.mark.parametrize("steepness", [0.005, 0.01, 0.02, 0.05, 0.1])
 def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float) -> None:
-    settings: dict[str, Any] = {"thickness": H, "law": "hooke", "pressure": 0.0}
+    # At these depths a thicker disc resists by bending.
+    thin = H / 10
+    settings: dict[str, Any] = {"thickness": thin, "law": "hooke", "pressure": 0.0}
     settings["probe_half_width"] = narrow * A
     soft, found, stiff = (
         disc_modulus(1e-3 * F, A, steepness * A, poisson_ratio=ratio, **settings)
@@ -107,7 +109,7 @@ def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float)
     )
     assert soft < found < stiff
     if steepness == 0.005:
-        shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (H * (steepness * A) ** 3)
+        shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (thin * (steepness * A) ** 3)
         # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
         assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
 

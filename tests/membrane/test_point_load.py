@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import mpmath
 import numpy as np
@@ -12,6 +13,7 @@ from microlib.membrane import (
     SmallSlopeWarning,
     dimple_depth,
     dimple_profile,
+    disc_modulus,
     elastic_modulus,
     finite_slope_modulus,
     indentation_force,
@@ -174,6 +176,35 @@ def test_steep_dimple_beside_shallow_one_warns_and_has_its_own_modulus() -> None
     assert np.isfinite(both).all()
     # E falls with the third power of the depth.
     np.testing.assert_allclose(both * depths**3, both[0, 0] * 10.0**3)
+
+
+#: Each model of a disc without pretension.
+MODELS = [elastic_modulus, finite_slope_modulus, partial(disc_modulus, law="hooke")]
+
+
+@pytest.mark.parametrize(("depth", "times"), [(3.2, 2.5), (5.9, 0.8)])
+def test_depth_of_a_plate_warns(depth: float, times: float) -> None:
+    """A clamped plate that only bends, F = 16π D w/a², has a wrong modulus by (5.2)."""
+    plate = 16 * np.pi * 1.3 * 3.0**3 / (12 * (1 - FILM["poisson_ratio"] ** 2)) * depth / 250.0**2
+    with pytest.warns(UserWarning, match="because the model omits bending") as caught:
+        moduli = [float(model(plate, 250.0, depth, **FILM)) for model in MODELS]
+    assert len(caught) == 3
+    assert moduli[0] > times * 1.3
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for model in MODELS:
+            model(plate, 250.0, 6.1, **FILM)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_depth_below_the_thickness_raises(model) -> None:
+    with pytest.raises(ValueError, match=r"depth must be at least the thickness.*0\.97 times"):
+        model(0.01, 250.0, 2.9, **FILM)
+
+
+def test_shallow_dimple_beside_deep_one_raises() -> None:
+    with pytest.raises(ValueError, match=r"dimple_depth must be .* got 0\.5 times"):
+        elastic_modulus(0.01, 250.0, [1.5, 20.0], **FILM)
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])

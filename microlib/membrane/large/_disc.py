@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from microlib._common import Array, scalar
-from microlib.membrane._point_load import warn_if_implausible
+from microlib.membrane._point_load import check_bending, warn_if_implausible
 from microlib.membrane.large._laws import Law, constitutive_law
 from microlib.membrane.large._solver import (
     Guess,
@@ -278,12 +278,14 @@ def disc_modulus(
     Raises
     ------
     ValueError
-        As for `indent_disc`, or if no modulus gives this depth.
+        As for `indent_disc`, if no modulus gives this depth, or if a disc without pretension is
+        less deep than thick.
 
     Warns
     -----
     UserWarning
-        As for `elastic_modulus`, if the modulus is outside the range of membranes.
+        As for `elastic_modulus`: if a disc without pretension is less deep than two thicknesses, or
+        if the modulus is outside the range of membranes.
 
     Notes
     -----
@@ -304,6 +306,8 @@ def disc_modulus(
     support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
     material = constitutive_law(law, poisson_ratio)
     disc = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
+    if disc.prestretch == 1:  # the tension of a stretched disc carries the force at any depth
+        check_bending("depth", target, h)
     # The initial modulus is that of F = E h a (π/3 (w/a)³/(1 − ζ^⅔)³ + 2π N w/a/ln(1/ζ)): the
     # closed form of small slopes, and the stiffness of a drumhead of the prestretch's stress N.
     steepness, zeta = target / a, disc.inner * disc.prestretch
