@@ -283,7 +283,7 @@ def faults(seeds: int = 40) -> pd.DataFrame:
                     pixel_pitch=8.0,
                     image_size=(640, 480),
                 )
-                low, high = found.interval("focal_length")
+                low, high = found.parameters["focal_length"].interval
                 truth = 900 * 8 / (1 + found.microscope.magnification)
                 hidden = "focal_length" in found.undetermined
                 holds.append(hidden or low <= truth <= high)

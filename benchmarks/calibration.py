@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.report import Limits, Tables, paired_times, rms
-from microlib.calibration import calibrate, cramer_rao, detect_circles, detect_squares
+from compendium.experiments.identifiability import cramer_rao_bound
+from microlib.calibration import calibrate, detect_circles, detect_squares
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
@@ -178,9 +179,9 @@ def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
         image = scope.project(world)
         f = scope.focal_length
         free = ("magnification", "focus", *POSE)
-        bound = np.sqrt(np.diag(cramer_rao(scope, world, noise, free)))[1] / f
+        bound = cramer_rao_bound(scope, world, noise, free)[1] / f
         held = ("magnification", *POSE)
-        bounds = np.sqrt(np.diag(cramer_rao(scope, world, noise, held)))
+        bounds = cramer_rao_bound(scope, world, noise, held)
         truth = np.array([getattr(scope, name) for name in held])
         stated, f_inside, ratios, inside, unknown = [], [], [], [], 0
         for seed in range(seeds):
@@ -189,12 +190,13 @@ def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
             sensor = {"pixel_pitch": 9.9, "image_size": (656, 491)}
             fit = calibrate(world, seen, **sensor)
             unknown += "focal_length" in fit.undetermined
-            stated.append(fit.sigma["focal_length"] / f)
-            low, high = fit.interval("focal_length")
+            stated.append(fit.parameters["focal_length"].uncertainty / f)
+            low, high = fit.parameters["focal_length"].interval
             f_inside.append(not low > f and not high < f)
             fit = calibrate(world, seen, focal_length=f, **sensor)
-            ratios.append(np.array(list(fit.sigma.values())) / bounds)
-            spans = [fit.interval(name) for name in held]
+            every = [fit.parameters[name] for name in held]
+            ratios.append(np.array([each.uncertainty for each in every]) / bounds)
+            spans = [each.interval for each in every]
             inside.append([low <= t <= high for (low, high), t in zip(spans, truth, strict=True)])
         ratio = np.median(ratios, axis=0)
         rows.append(

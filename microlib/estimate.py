@@ -25,7 +25,7 @@ class Estimate(Tidy):
         Limits of the 95 % confidence interval. The interval is not symmetric where the error is
         not normal, and a limit may be infinite.
     unit : str
-        Unit of the four numbers, such as "µm/px".
+        Unit of the four numbers, such as "µm/px"; empty for a number without a unit.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class Estimate(Tidy):
             for number in (self.value, self.low, self.high)
         )
         value, low, high = shown
-        return f"{value} {self.unit} (95 %: {low} to {high})"
+        return f"{f'{value} {self.unit}'.rstrip()} (95 %: {low} to {high})"
 
     def __repr__(self) -> str:
         return f"Estimate({self})"

@@ -6,9 +6,9 @@ the objective onto the sensor (µm from the sensor's center), distorted, and sam
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,53 +72,115 @@ def _sensor_points(points: ArrayLike) -> Array:
     return array
 
 
-def undistort(points: ArrayLike, distortion: float) -> Array:
-    """Take radial distortion off sensor points: (u', v') = (u, v)·(1 + κ r²), r² = u² + v² (2.10).
+def pitch_pair(pixel_pitch: ArrayLike) -> Array:
+    """Pixel pitch along x and y, shape (2,), checked."""
+    pitch = positive("pixel_pitch", pixel_pitch)
+    return as_array("pixel_pitch", np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
+
+
+def whole_size(image_size: Any) -> tuple[int, int]:
+    """Width and height of an image, px, checked."""
+    size = positive("image_size", as_array("image_size", image_size, shape=(2,)))
+    if (size != np.round(size)).any():
+        raise ValueError(f"image_size must be whole numbers of pixels, got {image_size}")
+    width, height = map(int, size)
+    return width, height
+
+
+def _radial(radius: Array, coefficients: tuple[float, float]) -> tuple[Array, Array]:
+    """Factor 1 + κ r² + κ₂ r⁴ of the radius in (2.10), and the derivative of the product by r."""
+    (k1, k2), radius2 = coefficients, radius * radius
+    return 1 + radius2 * (k1 + radius2 * k2), 1 + radius2 * (3 * k1 + radius2 * (5 * k2))
+
+
+def _fold(coefficients: tuple[float, float]) -> float:
+    """Radius where 1 + 3 κ r² + 5 κ₂ r⁴ first becomes zero; infinite if it never does."""
+    k1, k2 = coefficients
+    discriminant = 9 * k1**2 - 20 * k2
+    if discriminant < 0:
+        return np.inf
+    denominator = np.sqrt(discriminant) - 3 * k1
+    return float(np.sqrt(2) / np.sqrt(denominator)) if denominator > 0 else np.inf
+
+
+def _radial_at(wanted: Array, coefficients: tuple[float, float]) -> tuple[Array, Array]:
+    """Factor and slope of `_radial` at the distorted radius of each undistorted radius.
+
+    Newton's method from the undistorted radius, within a bracket of the root. Up to the fold the
+    factor is at least 4/9. Both are NaN where there is no such radius.
+    """
+    fold = _fold(coefficients)
+    if fold < np.inf:
+        reach = fold * _radial(np.array(fold), coefficients)[0]
+        wanted = np.where(wanted <= reach, wanted, np.nan)
+    low, high = np.zeros_like(wanted), np.minimum(9 / 4 * wanted, fold)
+    radius = np.minimum(wanted, high)
+    for _ in range(60):
+        factor, slope = _radial(radius, coefficients)
+        excess = radius * factor - wanted
+        low, high = np.where(excess < 0, radius, low), np.where(excess > 0, radius, high)
+        step = np.divide(excess, slope, out=np.full_like(excess, np.inf), where=slope != 0)
+        if not (np.abs(step) > 1e-15 * wanted).any():
+            break
+        radius = radius - step
+        outside = (radius < low) | (radius > high)
+        if outside.any():
+            radius = np.where(outside, (low + high) / 2, radius)
+    return factor, slope
+
+
+def undistort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) -> Array:
+    """Take radial distortion off sensor points: u' = u (1 + κ r² + κ₂ r⁴), r = ‖u‖ (2.10).
 
     Parameters
     ----------
     points : array_like, shape (..., 2)
-        Distorted sensor points (u, v) in µm from the sensor's center.
+        Distorted sensor points u in µm from the principal point.
     distortion : float
         κ in 1/µm².
+    distortion_k2 : float
+        κ₂ in 1/µm⁴; zero in the thesis.
 
     Returns
     -------
     ndarray, shape (..., 2)
-        Undistorted points (u', v') in µm; NaN beyond the fold of (2.10), r² > −1/(3κ), where two
-        distorted points would share one undistorted point. There is no fold when κ ≥ 0.
+        Undistorted points u' in µm; NaN beyond the fold of (2.10), the smallest r with
+        1 + 3 κ r² + 5 κ₂ r⁴ = 0, where two distorted points would share one undistorted point.
+        There is no fold if neither coefficient is negative.
 
     See Also
     --------
     distort : the inverse.
     """
-    points, distortion = _sensor_points(points), scalar("distortion", distortion)
-    growth = distortion * (points * points).sum(axis=-1, keepdims=True)
-    return points * np.where(growth < -1 / 3, np.nan, 1 + growth)
+    points = _sensor_points(points)
+    coefficients = scalar("distortion", distortion), scalar("distortion_k2", distortion_k2)
+    radius = np.hypot(points[..., 0], points[..., 1])
+    factor, _ = _radial(radius, coefficients)
+    return points * np.where(radius > _fold(coefficients), np.nan, factor)[..., np.newaxis]
 
 
-def distort(points: ArrayLike, distortion: float) -> Array:
-    """Put radial distortion on sensor points: the exact inverse of (2.10).
+def distort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) -> Array:
+    """Put radial distortion on sensor points: the inverse of (2.10).
 
     Parameters
     ----------
     points : array_like, shape (..., 2)
-        Undistorted sensor points (u', v') in µm from the sensor's center.
+        Undistorted sensor points u' in µm from the principal point.
     distortion : float
         κ in 1/µm².
+    distortion_k2 : float
+        κ₂ in 1/µm⁴; zero in the thesis.
 
     Returns
     -------
     ndarray, shape (..., 2)
-        Distorted points (u, v) in µm; NaN where (2.10) reaches no such point, r'² > −4/(27κ) for κ
-        < 0.
+        Distorted points u in µm; NaN where (2.10) reaches no such point. For κ < 0 and κ₂ = 0 this
+        is r'² > −4/(27κ).
 
     Notes
     -----
-    The scale s = r/r' is the root of q s³ + s − 1 = 0 with q = κ r'². Written as
-    s = (3/t) sinh(asinh(t)/3), t = (3/2)√(3q), it is accurate to rounding for every q ≥ 0, the
-    smallest included; for q < 0 the hyperbolic functions become circular ones. No iteration is
-    needed.
+    Newton's method finds the radius to rounding. A bracket of the root replaces a step that would
+    leave it by the middle of the bracket.
 
     Examples
     --------
@@ -128,17 +190,88 @@ def distort(points: ArrayLike, distortion: float) -> Array:
     >>> float(abs(undistort(distort(corner, -8.4e-10), -8.4e-10) - corner).max()) < 1e-11
     True
     """
-    return _distorted(_sensor_points(points), scalar("distortion", distortion))
+    points = _sensor_points(points)
+    coefficients = scalar("distortion", distortion), scalar("distortion_k2", distortion_k2)
+    factor, _ = _radial_at(np.hypot(points[..., 0], points[..., 1]), coefficients)
+    return points / factor[..., np.newaxis]
 
 
-def _distorted(points: Array, distortion: float) -> Array:
-    q = distortion * (points * points).sum(axis=-1, keepdims=True)
-    t = 1.5 * np.sqrt(3 * np.abs(q))
-    if distortion >= 0:
-        root = np.sinh(np.arcsinh(t) / 3)
-    else:
-        root = np.sin(np.arcsin(np.where(t <= 1, t, np.nan)) / 3)
-    return points * np.divide(3 * root, t, out=np.ones_like(t), where=t != 0)
+def project_points(
+    world: Array, pitch: Array, view: Mapping[str, float], *, derivatives: bool = False
+) -> tuple[Array, dict[str, Array]]:
+    """Image of points from the numbers that determine the image of a plane.
+
+    Parameters
+    ----------
+    world : ndarray, shape (N, 2) or (N, 3)
+        World points, µm; with two columns they lie on the pattern plane, Z_w = 0.
+    pitch : ndarray, shape (2,)
+        Pixel pitch of the sensor, µm.
+    view : mapping of str to float
+        The parameters in :attr:`Microscope.view`, by name.
+    derivatives : bool
+        Whether to return the derivatives.
+
+    Returns
+    -------
+    points : ndarray, shape (2, N)
+        x and y from the middle of the image, px. NaN beyond the reach of the distortion model and
+        in the plane of the objective, 1 + h Z_r = 0.
+    by : dict of str to ndarray, shape (2, N)
+        Derivatives of the points by each parameter in `view`; empty if they are not asked for.
+
+    Notes
+    -----
+    A plane shows the three lengths only as the magnification M = (T_op + f)/(f + d) and the
+    convergence h = 1/T_z = 1/(f + d), which states how fast the scale changes with depth:
+
+        u' = M X / (1 + h Z_r),   Z_r = r31 X_w + r32 Y_w
+
+    (2.9 divided through by T_z). This form stays smooth up to the telecentric limit h = 0 and
+    beyond it, where no microscope is, but where a search for one may pass.
+    """
+    magnification, convergence = view["magnification"], view["convergence"]
+    alpha, beta, gamma = view["alpha"], view["beta"], view["gamma"]
+    rotation = _rotation(alpha, beta, gamma)
+    # The points of each component lie side by side in memory, which is several times faster.
+    turned = rotation[:, : world.shape[1]] @ world.T  # X − T_x, Y − T_y, Z − T_z
+    flat = turned[:2] + np.array([[view["tx"]], [view["ty"]]])
+    depth = 1 + convergence * turned[2]
+    shrink = 1 / np.where(depth != 0, depth, np.nan)
+    undistorted = magnification * shrink * flat
+    coefficients = view["distortion"], view["distortion_k2"]
+    factor, slope = _radial_at(np.hypot(*undistorted), coefficients)
+    sensor, pitch = undistorted / factor, pitch[:, np.newaxis]
+    points = sensor / pitch + np.array([[view["principal_x"]], [view["principal_y"]]])
+    if not derivatives:
+        return points, {}
+
+    first, second = np.eye(2)[:, :, np.newaxis]
+    by_undistorted = {
+        "magnification": flat * shrink,
+        "convergence": -undistorted * (shrink * turned[2]),
+        "tx": first * (magnification * shrink),
+        "ty": second * (magnification * shrink),
+    }
+    axes = {"alpha": (0.0, 0.0, 1.0), "beta": (-np.sin(alpha), np.cos(alpha), 0.0)}
+    for name, (x, y, z) in (axes | {"gamma": tuple(rotation[:, 0])}).items():
+        # Rotating about an axis moves a point by the cross product of the axis and the point.
+        moved = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ turned
+        toward = undistorted * (convergence * moved[2])
+        by_undistorted[name] = shrink * (magnification * moved[:2] - toward)
+    radius2 = (sensor * sensor).sum(axis=0)
+    for power, name in enumerate(("distortion", "distortion_k2"), 1):
+        by_undistorted[name] = -sensor * radius2**power  # (2.10) differentiated at a fixed u'
+    # The derivative of u' by u is factor I + (slope − factor) u uᵀ/r², a multiple of the identity
+    # and an outer product, and so is its inverse.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radial = sensor * np.where(radius2 > 0, (1 / slope - 1 / factor) / radius2, 0.0)
+    by = {
+        name: (change / factor + (change * sensor).sum(axis=0) * radial) / pitch
+        for name, change in by_undistorted.items()
+    }
+    ones = np.ones(len(world))
+    return points, by | {"principal_x": first * ones, "principal_y": second * ones}
 
 
 @dataclass(frozen=True)
@@ -154,8 +287,9 @@ class Microscope(Tidy):
     distance : float
         Distance d of the object plane from the front focal plane, µm. A plane in focus has d =
         f²/T_op (2.20).
-    distortion : float
-        Radial distortion κ, 1/µm², on the sensor.
+    distortion, distortion_k2 : float
+        Radial distortion on the sensor: κ, 1/µm², and a second coefficient κ₂, 1/µm⁴, which the
+        thesis does not have. See :func:`undistort`.
     alpha, beta, gamma : float
         Euler angles of R = Rz(α) Ry(β) Rx(γ) from world to objective frame, rad.
     tx, ty : float
@@ -163,7 +297,10 @@ class Microscope(Tidy):
     pixel_pitch : float or (float, float)
         Distance of neighboring pixels on the sensor along x and y (pixel pitch), µm.
     image_size : (int, int)
-        Width and height of the image, px. The optical axis meets its center.
+        Width and height of the image, px.
+    principal_offset : (float, float)
+        Where the optical axis meets the image, (x, y) in px from the middle of the image. In the
+        thesis it is the middle.
 
     Raises
     ------
@@ -171,16 +308,10 @@ class Microscope(Tidy):
         If a length is not positive, a parameter is not finite, or `image_size` is not two whole
         numbers.
 
-    Attributes
-    ----------
-    PARAMETERS : tuple of str
-        Names of the nine parameters of the model, the fields above without those of the sensor, in
-        the order of :meth:`jacobian`.
-
     Notes
     -----
     The points of a plane see only T_op + f and f + d, never the three lengths one by one: see
-    :meth:`project_plane` and :func:`microlib.calibration.calibrate`.
+    :attr:`view` and :func:`microlib.calibration.calibrate`.
 
     Examples
     --------
@@ -201,18 +332,6 @@ class Microscope(Tidy):
     1.5941
     """
 
-    PARAMETERS: ClassVar[tuple[str, ...]] = (
-        "tube_length",
-        "focal_length",
-        "distance",
-        "distortion",
-        "alpha",
-        "beta",
-        "gamma",
-        "tx",
-        "ty",
-    )
-
     tube_length: float
     focal_length: float
     distance: float
@@ -225,23 +344,18 @@ class Microscope(Tidy):
     _: KW_ONLY
     pixel_pitch: float | tuple[float, float]
     image_size: tuple[int, int]
+    distortion_k2: float = 0.0
+    principal_offset: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("tube_length", "focal_length", "distance"):
             object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        for name in ("distortion", "tx", "ty"):
+        for name in ("distortion", "distortion_k2", "alpha", "beta", "gamma", "tx", "ty"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
-        for name in ("alpha", "beta", "gamma"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
-        pitch = positive("pixel_pitch", self.pixel_pitch)
-        if pitch.ndim:
-            pitch = as_array("pixel_pitch", pitch, shape=(2,))
-        plain = tuple(pitch.tolist()) if pitch.ndim else pitch.item()
-        object.__setattr__(self, "pixel_pitch", plain)
-        size = positive("image_size", as_array("image_size", self.image_size, shape=(2,)))
-        if (size != np.round(size)).any():
-            raise ValueError(f"image_size must be whole numbers of pixels, got {self.image_size}")
-        object.__setattr__(self, "image_size", tuple(map(int, size)))
+        object.__setattr__(self, "pixel_pitch", tuple(pitch_pair(self.pixel_pitch).tolist()))
+        object.__setattr__(self, "image_size", whole_size(self.image_size))
+        offset = as_array("principal_offset", self.principal_offset, shape=(2,))
+        object.__setattr__(self, "principal_offset", tuple(offset.tolist()))
 
     @property
     def rotation(self) -> Array:
@@ -269,12 +383,33 @@ class Microscope(Tidy):
     @property
     def pitch(self) -> Array:
         """Pixel pitch of the sensor along x and y, (s_x, s_y), µm."""
-        return np.broadcast_to(np.asarray(self.pixel_pitch, dtype=np.float64), 2)
+        return np.array(self.pixel_pitch)
 
     @property
     def principal_point(self) -> Array:
-        """Where the optical axis meets the image, (x, y) px: the sensor's center."""
-        return (np.asarray(self.image_size, dtype=np.float64) - 1) / 2
+        """Where the optical axis meets the image, (x, y) px."""
+        return (np.asarray(self.image_size) - 1) / 2 + self.principal_offset
+
+    @property
+    def principal_distance(self) -> Array:
+        """(T_op + f)/s along x and y, px: the focal lengths f_x and f_y of OpenCV's camera."""
+        return (self.tube_length + self.focal_length) / self.pitch
+
+    @property
+    def view(self) -> dict[str, float]:
+        """The numbers that determine the image of a plane, by name.
+
+        The magnification M, the convergence h = 1/(f + d) in 1/µm, κ and κ₂, the principal point
+        from the middle of the image in px, the angles in rad, and T_x and T_y in µm.
+        """
+        own = ("distortion", "distortion_k2", "alpha", "beta", "gamma", "tx", "ty")
+        principal = dict(zip(("principal_x", "principal_y"), self.principal_offset, strict=True))
+        return {
+            "magnification": self.magnification,
+            "convergence": 1 / (self.focal_length + self.distance),
+            **{name: getattr(self, name) for name in own},
+            **principal,
+        }
 
     def to_objective(self, points: ArrayLike) -> Array:
         """World points to the objective frame: R X_w + T (2.5).
@@ -319,10 +454,9 @@ class Microscope(Tidy):
         ValueError
             If `points` is empty, not finite, or has another shape.
         """
-        x, y, z = self.to_objective(points).T
-        z = np.where(z > 0, z, np.nan)
-        sensor = (self.tube_length + self.focal_length) * np.column_stack([x / z, y / z])
-        return _distorted(sensor, self.distortion) / self.pitch + self.principal_point
+        depth = self.to_objective(points)[:, 2:]
+        image, _ = project_points(as_array("points", points), self.pitch, self.view)
+        return np.where(depth > 0, image.T + (np.asarray(self.image_size) - 1) / 2, np.nan)
 
     def back_project(self, pixels: ArrayLike) -> Array:
         """Image points to the pattern plane Z_w = 0: the inverse of :meth:`project` there.
@@ -344,7 +478,8 @@ class Microscope(Tidy):
             If `pixels` is empty, not finite, or has another shape.
         """
         pixels = as_array("pixels", pixels, shape=(None, 2))
-        sensor = undistort((pixels - self.principal_point) * self.pitch, self.distortion)
+        distorted = (pixels - self.principal_point) * self.pitch
+        sensor = undistort(distorted, self.distortion, self.distortion_k2)
         x, y = (sensor / (self.tube_length + self.focal_length)).T
         r, (tx, ty, tz) = self.rotation, self.translation
         # X − x Z = 0 and Y − y Z = 0 are two linear equations in X_w and Y_w.
@@ -355,139 +490,3 @@ class Microscope(Tidy):
             plane = np.column_stack([d * p - b * q, a * q - c * p]) / (a * d - b * c)[:, None]
             in_front = plane @ r[2, :2] + tz > 0
         return np.where(in_front[:, None], plane, np.nan)
-
-    def jacobian(self, world: ArrayLike, parameters: tuple[str, ...] = PARAMETERS) -> Array:
-        """Derivatives of the image points of the pattern plane by the microscope's parameters.
-
-        Parameters
-        ----------
-        world : array_like, shape (N, 2)
-            Points of the pattern plane, µm.
-        parameters : tuple of str
-            Any of `PARAMETERS`; or "magnification" or "focus", which is f with the plane
-            kept in focus at the same magnification, T_op = M f and d = f/M.
-
-        Returns
-        -------
-        ndarray, shape (N, 2, p)
-            px per unit of each parameter (µm, rad, 1/µm²).
-
-        Raises
-        ------
-        ValueError
-            If `world` has another shape, is empty or not finite, or a name is unknown.
-
-        Examples
-        --------
-        A longer tube moves the points outwards, on the sensor by their share of the field:
-
-        >>> from microlib.microscope import Microscope
-        >>> scope = Microscope(200000, 126000, 79380, pixel_pitch=9.9, image_size=(656, 491))
-        >>> scope.jacobian([[0.0, 0.0], [280.0, 0.0]], ("tube_length",))[..., 0].round(7)
-        array([[0.      , 0.      ],
-               [0.0001377, 0.      ]])
-        """
-        world = as_array("world", world, shape=(None, 2))
-        if isinstance(parameters, str) or not isinstance(parameters, Sequence) or not parameters:
-            raise ValueError(
-                f"parameters must be a tuple of at least one name, got {type(parameters).__name__}"
-            )
-        if not all(isinstance(name, str) for name in parameters):
-            raise ValueError("parameters must be names, got other values among them")
-        depth = self.focal_length + self.distance
-        pose = (self.distortion, self.alpha, self.beta, self.gamma, self.tx, self.ty)
-        visible = np.array([self.magnification, 1 / depth, *pose])
-        by = Microscope.project_plane(visible, world, self.pitch)[1]
-        by_range = by[..., 0] / depth  # T_op + f, at constant f + d
-        by_depth = -(self.magnification * by[..., 0] + by[..., 1] / depth) / depth  # f + d
-        columns = {
-            "tube_length": by_range,
-            "focal_length": by_range + by_depth,
-            "distance": by_depth,
-            "magnification": by[..., 0],
-            "focus": -by[..., 1] / (depth * self.focal_length),
-            **{name: by[..., 2 + k] for k, name in enumerate(self.PARAMETERS[3:])},
-        }
-        unknown = [name for name in parameters if name not in columns]
-        if unknown:
-            raise ValueError(f"parameters must be among {', '.join(columns)}, got {unknown}")
-        return np.stack([columns[name] for name in parameters], axis=-1)
-
-    @staticmethod
-    def project_plane(visible: Array, world: Array, pitch: Array) -> tuple[Array, Array]:
-        """Image of points of the pattern plane from the numbers that they can see.
-
-        Parameters
-        ----------
-        visible : ndarray, shape (8,)
-            (M, h, κ, α, β, γ, T_x, T_y): the magnification, the convergence h = 1/(f + d) in 1/µm,
-            then κ in 1/µm², angles in rad, T in µm.
-        world : ndarray, shape (N, 2)
-            (X_w, Y_w), µm.
-        pitch : ndarray, shape (2,)
-            Pixel pitch of the sensor, µm.
-
-        Returns
-        -------
-        points : ndarray, shape (N, 2)
-            (x, y) from the principal point, px.
-        jacobian : ndarray, shape (N, 2, 8)
-            Their derivatives by `visible`. Both are NaN beyond the reach of the distortion model
-            and in the plane of the objective, 1 + h Z_r = 0.
-
-        Raises
-        ------
-        ValueError
-            If a shape does not fit, a value is not finite, a pitch is not positive, or a point lies
-            on the fold of the distortion model, where derivatives are infinite.
-
-        Notes
-        -----
-        The points see the three lengths only as the magnification M = (T_op + f)/(f + d) and the
-        convergence h = 1/T_z = 1/(f + d), how fast the scale changes with depth:
-
-            u' = M X / (1 + h Z_r),   Z_r = r31 X_w + r32 Y_w
-
-        (2.9 divided through by T_z). This form stays smooth up to the telecentric limit h = 0 and
-        beyond it, where no microscope is, but where a search for one may pass.
-        """
-        visible = as_array("visible", visible, shape=(8,))
-        world = as_array("world", world, shape=(None, 2))
-        pitch = positive("pitch", as_array("pitch", pitch, shape=(2,)))
-        magnification, convergence, distortion, alpha, beta, gamma, tx, ty = visible
-        rotation = _rotation(alpha, beta, gamma)
-        # A row a component: the points of each lie side by side in memory, which is several times
-        # faster here.
-        turned = rotation[:, :2] @ world.T  # (3, N): X - T_x, Y - T_y, Z - T_z
-        flat = turned[:2] + np.array([[tx], [ty]])
-        distance = 1 + convergence * turned[2]
-        shrink = 1 / np.where(distance != 0, distance, np.nan)
-        undistorted = magnification * shrink * flat
-
-        by = np.empty((8, 2, len(world)))
-        by[0] = flat * shrink
-        by[1] = -undistorted * (shrink * turned[2])
-        # Rotating about the axis a changes a point by a × point.
-        axes = np.array(
-            [[0.0, 0.0, 1.0], [-np.sin(alpha), np.cos(alpha), 0.0], rotation[:, 0]]
-        ).tolist()
-        for row, (x, y, z) in enumerate(axes, 3):
-            moved = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ turned
-            by[row] = shrink * (magnification * moved[:2] - undistorted * (convergence * moved[2]))
-        by[6:] = np.eye(2)[:, :, np.newaxis] * (magnification * shrink)
-
-        sensor = _distorted(undistorted.T, distortion).T
-        radius2 = (sensor**2).sum(axis=0)
-        by[2] = -sensor * radius2
-        # (2.10) differentiated: its left side depends on the distorted point, by (1 + κr²) I +
-        # 2κ s sᵀ, which is a diagonal and one outer product, so that its inverse is, too.
-        along, across = 1 + 3 * distortion * radius2, 1 + distortion * radius2
-        if (along == 0).any() or (across == 0).any():
-            raise ValueError(
-                "world must keep off the fold of the distortion model, got a point on it"
-            )
-        radial = (by * sensor).sum(axis=1, keepdims=True)
-        by -= radial * (2 * distortion * sensor / along)
-        by /= across
-        by /= pitch[:, np.newaxis]
-        return sensor.T / pitch, by.transpose(2, 1, 0)

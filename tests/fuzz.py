@@ -126,13 +126,13 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
 #: Where a result may be NaN or infinite from finite values, as its documentation says.
 MAY_BE_UNKNOWN = {
     # What the data leave open: parameters of a fit, the error of an exact fit, a side of circles.
-    "calibration.Calibration.interval", "calibration.calibrate", "calibration.cramer_rao",
+    "calibration.calibrate",
     "calibration.detect_circles", "calibration.detect_charuco", "calibration.stage_affine",
     "embryo.dimple_geometry", "embryo.fit_dimple", "embryo.modulus_from_image",
     "embryo.fit_gaussians",
     # Beyond the fold of the distortion, beside the plane, in the focal plane, far from the dimple.
-    "microscope.distort", "microscope.undistort", "microscope.Microscope.jacobian",
-    "microscope.Microscope.project", "microscope.Microscope.project_plane",
+    "microscope.distort", "microscope.undistort",
+    "microscope.Microscope.project",
     "microscope.Microscope.back_project", "optics.image_distance",
     "embryo._dimple.DimpleFit.__call__",
     # Unknown pixels, borders, stretches where the wall is slack, no slope that is steep enough.

@@ -177,18 +177,29 @@ def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
 
 
 def test_camera_matrix_and_scale_need_no_pixel_pitch(tmp_path, capsys):
-    found = []
+    """The true focal length is 126150 µm, and T_op = 1.5893 f, behind a pixel pitch of 9.9 µm."""
+    found, tables = [], []
     for given, noted in (("", True), ("--pixel-pitch 9.9", False)):
         line = f"calibrate circles.png --pitch 280 {given}"
         assert status(line, tmp_path / f"out{given}") == 0
-        assert ("in the camera are in pixels of its sensor" in capsys.readouterr().err) == noted
+        printed = capsys.readouterr()
+        assert ("neither the magnification nor the focal length" in printed.err) == noted
+        assert ("magnification" in printed.out) != noted
         found.append(json.loads((tmp_path / f"out{given}" / "camera.json").read_text()))
-    # Two fits from different starts of f, which one plane hardly determines.
+        tables.append(pd.read_csv(tmp_path / f"out{given}" / "camera.csv", index_col="parameter"))
     one, other = [each["micro_manager"]["PixelSizeUm"] for each in found]
     assert one == pytest.approx(other, rel=1e-6)
+    # Two fits from different starts of f, which one plane hardly determines.
     for key in ("camera_matrix", "rotation_vectors"):
         one, other = (each["opencv"][key] for each in found)
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-7)
+    assert not {"magnification", "focal_length"} & set(tables[0].index)
+    low, high = tables[0].loc["principal_distance", ["low", "high"]]
+    assert low < (200490 + 126150) / 9.9 < high
+    low, high = tables[0].loc["px_per_um", ["low", "high"]]
+    assert low < (200490 + 126150) / (126150 + 79374.6) / 9.9 < high
+    low, high = tables[1].loc["focal_length", ["low", "high"]]
+    assert low < 126150 < high
 
 
 def chessboards() -> list[np.ndarray]:
@@ -237,6 +248,7 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
     camera = json.loads((tmp_path / "out" / "camera.json").read_text())
     hold_alike(camera, json.loads(result.to_json()))
     table = pd.read_csv(tmp_path / "out" / "camera.csv", index_col="parameter")
+    table = table.fillna({"unit": ""})  # of the magnification
     hold_alike(table, result.to_frame().astype(table.dtypes))
     pairs = zip(found, photos, strict=True)
     tables = pd.concat([each.to_frame().assign(photo=str(photo)) for each, photo in pairs])
@@ -255,8 +267,8 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
         (32, {"adequate": False}, 1, "Several photographs show more of the lens\n"),
         (32, {"adequate": False}, 2, "and --pitch the same everywhere?\n"),
         (32, {"adequate": False}, 3, "is --focal-length that of the objective, the pattern flat"),
-        (32, {"misfit": np.nan}, 1, "too few marks to test whether the model fits"),
-        (32, {"low": 0.0, "undetermined": ("f",)}, 1, "magnification's interval reaches zero"),
+        (32, {"lack_of_fit": np.nan}, 1, "too few marks to test whether the model fits"),
+        (32, {"high": np.inf, "undetermined": ("f",)}, 1, "the pixel size has no upper limit"),
         (32, {"undetermined": ("alpha", "f")}, 1, "note: alpha, f: undetermined; give --focal"),
     ],
 )
@@ -266,8 +278,15 @@ def test_advice_depends_on_the_calibration(
     """One of the grids has sides of so many px and twice as many, in 400×100 px."""
     shown = dict.fromkeys(("to_frame", "to_json", "plot"), POINTS.copy)
     shown |= {"held_out": np.full(views, np.nan), "to_json": str}
-    own = {"adequate": True, "misfit": 1.0, "undetermined": (), "low": 1.0, **changed, **shown}
-    own["interval"] = {"magnification": (own["low"], 3.0)}.__getitem__
+    own = {
+        "adequate": True,
+        "lack_of_fit": 1.0,
+        "undetermined": (),
+        "high": 1.0,
+        **changed,
+        **shown,
+    }
+    own["um_per_pixel"] = Namespace(high=own["high"])
     ends = [np.array([[30, 40], [30 + n, 40 + 2 * n]]) for n in (side, *[0] * (views - 1))]
     grids = [Namespace(points=each, image_size=(400, 100), **shown) for each in ends]
     monkeypatch.setattr(calibration, "detect_pattern", lambda *_: ("grid", grids.pop()))

@@ -82,13 +82,18 @@ def calibration_steps(scope: Microscope, noise: float, rng: np.random.Generator)
     settings: dict[str, Any] = {"pixel_pitch": scope.pixel_pitch, "image_size": scope.image_size}
     fit = calibrate(world, image, focal_length=scope.focal_length, **settings)
     lengths = (scope.tube_length, scope.focal_length, scope.distance)
-    flat = Microscope(*lengths, **pose, **settings).to_objective(world)[:, :2]
+    flat = Microscope(*lengths, **(settings | pose)).to_objective(world)[:, :2]
     start = linear_intrinsics(flat, np.zeros(len(flat)), sensor)[:2]
     linear = pose | {"magnification": start[0], "distortion": start[1]}
     rows = {
         text: factor
         * np.array(
-            [getattr(scope, name), linear[name], getattr(fit.microscope, name), fit.sigma[name]]
+            [
+                getattr(scope, name),
+                linear[name],
+                getattr(fit.microscope, name),
+                fit.parameters[name].uncertainty,
+            ]
         )
         for name, (text, factor) in PARAMETERS.items()
     }

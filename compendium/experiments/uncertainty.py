@@ -110,8 +110,9 @@ def focal_lengths(seed: int, runs: int) -> tuple[NDArray, NDArray]:
             seen, _ = cv2.projectPoints(flat, cv2.Rodrigues(turn)[0], place, camera, lens)
             images.append(seen[:, 0] + rng.normal(0, 0.05, world.shape))
         found = calibrate([world] * 4, images, pixel_pitch=8.0, image_size=(640, 480))
-        focal = 900 * 8 / (1 + found.microscope.magnification)
-        rows.append((found.microscope.focal_length - focal, found.sigma["focal_length"]))
+        focal = found.parameters["focal_length"]
+        truth = 900 * 8 / (1 + found.microscope.magnification)
+        rows.append((focal.value - truth, focal.uncertainty))
     error, std = np.transpose(rows)
     return error, std
 

@@ -83,16 +83,16 @@ def write_pattern(folder: Path) -> dict[str, Entry]:
     pitch, pixel_pitch = 280.0, 9.9
     # The lengths of Table 5.1 in focus, and a pose of our own without distortion.
     t_op, f = (thesis.table_5_1("circle-1X", name) for name in ("T_op", "f"))
-    scope = Microscope(
-        t_op, f, 79374.6, alpha=0.03, beta=-0.02, tx=-1900.0, ty=-1400.0, pixel_pitch=pixel_pitch
-    )
+    pose = {"alpha": 0.03, "beta": -0.02, "tx": -1900.0, "ty": -1400.0}
+    sensor: dict[str, Any] = {"pixel_pitch": pixel_pitch, "image_size": (656, 491)}
+    scope = Microscope(t_op, f, 79374.6, **pose, **sensor)
     look: dict[str, Any] = {"imaging": ImagingConditions(noise=2.0), "rng": SEED}
     image = render_circles(scope, pitch=pitch, **look)
     cv2.imwrite(str(folder / "circles.png"), image.round().astype(np.uint8))
-    pose = {name: getattr(scope, name) for name in ("distortion", "alpha", "beta", "gamma")}
+    known = {name: getattr(scope, name) for name in ("distortion", "alpha", "beta", "gamma")}
     what = "a rendered photograph: a tilted plane with circles of 70 µm radius, 280 µm apart"
     settings = {"pitch": pitch, "pixel_pitch": pixel_pitch, "focal_length": scope.focal_length}
-    truth = {"magnification": round(scope.magnification, 7)} | pose
+    truth = {"magnification": round(scope.magnification, 7)} | known
     return {"circles.png": {"what": what, "settings": settings, "truth": truth}}
 
 

@@ -18,6 +18,8 @@ from microlib._common import home_path
 
 #: Names of the files that it writes.
 FILES = ("camera.csv", "camera.json", "points.csv", "look.png")
+#: Grey levels and the detected pattern of each photograph.
+Views = dict[Path, tuple[NDArray, Any]]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,62 +31,30 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(a: argparse.Namespace, session: Session) -> End:
-    """Magnification, pose and distortion of a microscope from photographs of a pattern.
+    """Scale, pose and distortion of a microscope from photographs of a pattern.
 
     Example: microlib calibrate grid.png --pitch 200 --pixel-pitch 4.8 -o camera
     """
     import pandas as pd
 
-    from microlib.calibration import calibrate, detect_pattern
-    from microlib.io import image_files, read_grey
+    from microlib.calibration import calibrate
 
     given = [name for name in ("pixel_pitch", "focal_length") if getattr(a, name) is not None]
     # A focal length in µm needs the pixel pitch.
     resolve_scales(a, session, "pitch", *(sorted({"pixel_pitch", *given}) if given else []))
     if not given:
         session.note(
-            "without --pixel-pitch, lengths in the camera are in pixels of its sensor, not in µm"
+            "without --pixel-pitch neither the magnification nor the focal length in µm is known; "
+            "the result contains the principal distance in px and the scale in px/µm"
         )
-    paths = [home_path(name) for name in a.source]
-    photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
-    session.protect(photos)
-    views: dict[Path, tuple[NDArray, Any]] = {}
-
-    def leave_out(photo: Path, reason: object) -> str:
-        views.pop(photo, None)
-        session.note(f"left out {photo}: {reason}")
-        return f"{photo}: {reason}"
-
-    fault = ""
-    for photo in session.bar(photos, unit=" photos"):
-        try:
-            image = read_grey(photo)
-            name, found = detect_pattern(image, a.marks)
-            views[photo] = image, found
-            session.say(f"{photo}: {name}: {found}")
-        except ValueError as error:
-            reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
-            fault = leave_out(photo, reason)
-    if not views:
-        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
-    sizes = {photo: "×".join(map(str, each.image_size)) for photo, (_, each) in views.items()}
-    usual_size = mode(sizes.values())
-    for photo, size in sizes.items():
-        if size != usual_size:
-            leave_out(photo, f"its size is {size} px, of most {usual_size}")
-    scales = {"pitch": a.pitch, "pixel_pitch": a.pixel_pitch or 1.0, "focal_length": a.focal_length}
-    result = calibrate([each for _, each in views.values()], **scales)
-    usual = np.nanmedian(result.held_out) if np.isfinite(result.held_out).any() else np.inf
-    if (result.held_out > 10 * usual).any():
-        for photo, off in zip(list(views), result.held_out, strict=True):
-            if off > 10 * usual:
-                leave_out(
-                    photo, f"it disagrees with the others by {off:.2g} px, they by {usual:.2g}"
-                )
-        result = calibrate([each for _, each in views.values()], **scales)
+    scales = {"pitch": a.pitch, "pixel_pitch": a.pixel_pitch, "focal_length": a.focal_length}
+    views = _detect(session, a.source, a.marks)
+    result = calibrate([found for _, found in views.values()], **scales)
+    if _leave_out_inconsistent(session, views, result.held_out):
+        result = calibrate([found for _, found in views.values()], **scales)
     images, detections = zip(*views.values(), strict=True)
     _advise(session, result, detections, a.focal_length is not None)
-    tables = [each.to_frame().assign(photo=photo) for photo, (_, each) in views.items()]
+    tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in views.items()]
     session.write(
         "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
     )
@@ -93,6 +63,49 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(partial(result.plot, found=detections, images=images)))
     session.say(result)
     return End()
+
+
+def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
+    """Return the photographs with a pattern, all of the usual size, and the patterns found."""
+    from microlib.calibration import detect_pattern
+    from microlib.io import image_files, read_grey
+
+    paths = [home_path(name) for name in source]
+    photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
+    session.protect(photos)
+    views: Views = {}
+    fault = ""
+    for photo in session.bar(photos, unit=" photos"):
+        try:
+            image = read_grey(photo)
+            name, found = detect_pattern(image, pattern)
+            views[photo] = image, found
+            session.say(f"{photo}: {name}: {found}")
+        except ValueError as error:
+            reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
+            fault = f"{photo}: {reason}"
+            session.note(f"left out {fault}")
+    if not views:
+        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    sizes = {photo: "×".join(map(str, found.image_size)) for photo, (_, found) in views.items()}
+    usual_size = mode(sizes.values())
+    for photo, size in sizes.items():
+        if size != usual_size:
+            views.pop(photo)
+            session.note(f"left out {photo}: its size is {size} px, of most {usual_size}")
+    return views
+
+
+def _leave_out_inconsistent(session: Session, views: Views, held_out: NDArray) -> bool:
+    """Remove photographs that the camera of the others does not fit, and return whether any is."""
+    usual = np.nanmedian(held_out) if np.isfinite(held_out).any() else np.inf
+    inconsistent = held_out > 10 * usual
+    for photo, error, is_off in zip(list(views), held_out, inconsistent, strict=True):
+        if is_off:
+            views.pop(photo)
+            reason = f"it disagrees with the others by {error:.2g} px, they by {usual:.2g}"
+            session.note(f"left out {photo}: {reason}")
+    return bool(inconsistent.any())
 
 
 def _advise(session: Session, result: Any, detections: Sequence[Any], focal_given: bool) -> None:
@@ -108,14 +121,14 @@ def _advise(session: Session, result: Any, detections: Sequence[Any], focal_give
         focal = "--focal-length that of the objective, " * focal_given
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
         session.note(f"the model does not fit the points: {suspects}{more}")
-    if np.isnan(result.misfit):
+    if np.isnan(result.lack_of_fit):
         session.note(
             "too few marks to test whether the model fits: the intervals contain only noise; "
             "photograph more marks"
         )
-    if result.interval("magnification")[0] <= 0:
+    if result.um_per_pixel.high == np.inf:
         session.note(
-            "the magnification's interval reaches zero: photograph more marks, over more of it"
+            "the pixel size has no upper limit: photograph more marks, over more of the image"
         )
     elif result.undetermined:
         names = ", ".join(result.undetermined)

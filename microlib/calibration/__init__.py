@@ -2,11 +2,10 @@
 
 import microlib._common._opencv  # noqa: F401 – says how to install it
 from microlib.calibration._calibrate import calibrate
-from microlib.calibration._calibration import Calibration
+from microlib.calibration._calibration import Calibration, ErrorSummary
 from microlib.calibration._detection import Detection
-from microlib.calibration._stage import stage_affine
-from microlib.calibration._uncertainty import cramer_rao
-from microlib.calibration._views import linear_intrinsics, radial_alignment
+from microlib.calibration._linear import linear_intrinsics, radial_alignment
+from microlib.calibration._stage import StageAffine, stage_affine
 from microlib.calibration.detection._detect import (
     detect_charuco,
     detect_circles,
@@ -19,9 +18,10 @@ from microlib.calibration.detection._micrometer import Micrometer
 __all__ = [
     "Calibration",
     "Detection",
+    "ErrorSummary",
     "Micrometer",
+    "StageAffine",
     "calibrate",
-    "cramer_rao",
     "detect_charuco",
     "detect_circles",
     "detect_micrometer",

@@ -7,35 +7,52 @@ points do not determine are named.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, positive, scalar
+from microlib._common import Array, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
-from microlib.calibration._stage import plane_points
-from microlib.calibration._uncertainty import KILOMETER, noise_covariance
-from microlib.calibration._views import (
-    POSE,
-    Fit,
-    Views,
-    fit_views,
+from microlib.calibration._fit import LENS, POSE, Fit, Photographs, fit_views
+from microlib.calibration._points import Correspondences, correspondences
+from microlib.calibration._uncertainty import (
+    KILOMETER,
+    noise_covariance,
+    reciprocal_estimate,
+    student_quantile,
 )
 from microlib.calibration.adequacy._held_out import held_out_errors
 from microlib.calibration.adequacy._lack_of_fit import check_fit
 from microlib.calibration.adequacy._lens_terms import add_lens_terms
-from microlib.microscope import Microscope
+from microlib.estimate import Estimate
+from microlib.microscope import Microscope, pitch_pair
+
+#: Names of the two parameters of the result that are lengths on the sensor, or over one, with and
+#: without the pixel pitch. They replace 1/(T_op + f) and the magnification.
+_IN_UM, _IN_PX = ("focal_length", "magnification"), ("principal_distance", "px_per_um")
+#: Unit of each parameter; "sensor" is the unit of lengths on the sensor.
+_UNITS = {
+    "magnification": "",
+    "px_per_um": "px/µm",
+    "focal_length": "µm",
+    "principal_distance": "px",
+    "distortion": "1/sensor²",
+    "distortion_k2": "1/sensor⁴",
+    **dict.fromkeys(("principal_x", "principal_y"), "px"),
+    **dict.fromkeys(("alpha", "beta", "gamma"), "rad"),
+    **dict.fromkeys(("tx", "ty"), "µm"),
+}
 
 
 def calibrate(
     world: ArrayLike | Sequence[ArrayLike] | Detection | Sequence[Detection],
     image: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
-    pixel_pitch: float | tuple[float, float],
+    pixel_pitch: float | tuple[float, float] | None = None,
     pitch: float | None = None,
     focal_length: float | None = None,
     image_size: tuple[int, int] | None = None,
@@ -50,13 +67,15 @@ def calibrate(
     image : array_like, shape (N, 2), or a list of them, optional
         Image points (x, y) of the points in `world`, px. Not needed for a detection, which contains
         the image points.
-    pixel_pitch : float or (float, float)
-        Distance of neighboring pixels on the sensor (pixel pitch), µm.
+    pixel_pitch : float or (float, float), optional
+        Distance of neighboring pixels on the sensor (pixel pitch), µm, along x and y. Without it,
+        the pixels are taken to be square, and the result contains neither a magnification nor
+        a focal length in µm (see Notes).
     pitch : float, optional
         Distance of neighboring marks of a detected pattern, µm.
     focal_length : float, optional
         Focal length f of the objective as the manufacturer states it, µm. By default f is
-        estimated, which needs a tilted pattern (see Notes).
+        estimated, which needs a tilted pattern (see Notes). It needs `pixel_pitch`.
     image_size : (int, int), optional
         Width and height of the image, px. Required for points; a detection contains the size.
 
@@ -83,6 +102,12 @@ def calibrate(
     standard deviations above zero, the attribute `undetermined` of the result lists f and the
     angles of the tilt.
 
+    *Without the pixel pitch* an image does not determine the magnification M, the focal length
+    f = (T_op + f)/(1 + M) and T_op. It determines the scale in px/µm, which is M over the pixel
+    pitch, and the principal distance T_op + f in px, which OpenCV calls the focal length. These
+    parameters are named "px_per_um" and "principal_distance"; they replace "magnification" and
+    "focal_length". κ is in 1/px² then, and κ₂ in 1/px⁴.
+
     *Uncertainty.* The covariance includes the image noise. It also includes the correlation of the
     errors of points that belong to one mark, such as the corners of a square. With several views it
     also includes the errors of the printed pattern, which are the same in all views. If a
@@ -96,12 +121,11 @@ def calibrate(
     first view.
 
     With several views, two additions to the model with one distortion coefficient κ are tested,
-    first the principal point and then a second coefficient κ₂. An addition is kept if it lowers the
-    Bayesian information criterion. The names of the additional parameters are "distortion_k2"
-    (1/µm⁴), and "principal_x" and "principal_y" (px from the middle of the image). Let u be the
-    image point of the model with κ alone, in µm from the principal point. With κ₂, the image point
-    is u (1 + κ₂ r⁴), where r = ‖u‖. The principal point of a single view is the middle of the
-    image, as in the thesis.
+    first the principal point and then a second coefficient κ₂, see
+    :func:`microlib.microscope.undistort`. An addition is kept if it lowers the Bayesian information
+    criterion. The names of the additional parameters are "distortion_k2" (1/µm⁴), and "principal_x"
+    and "principal_y" (px from the middle of the image). The principal point of a single view is the
+    middle of the image, as in the thesis.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is
@@ -110,7 +134,7 @@ def calibrate(
     Examples
     --------
     >>> from microlib.calibration import calibrate, detect_circles
-    >>> from microlib.microscope import Microscope
+    >>> from microlib.microscope import Microscope, pitch_pair
     >>> from microlib.synthetic import render_circles
     >>> truth = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700,
     ...                    pixel_pitch=9.9, image_size=(656, 491))
@@ -120,68 +144,24 @@ def calibrate(
     >>> round(found.microscope.magnification, 3), round(found.microscope.beta, 3)
     (1.587, 0.03)
     """
-    positive("pixel_pitch", pixel_pitch)
     if focal_length is not None:
         focal_length = scalar("focal_length", focal_length, above=0)
-    worlds, images, marks, size = _inputs(world, image, pitch, image_size)
-    frame = Microscope(1.0, 1.0, 1.0, pixel_pitch=pixel_pitch, image_size=size)
-    pairs = [_checked_points(w, i, frame) for w, i in zip(worlds, images, strict=True)]
-    views = Views([w for w, _ in pairs], [i for _, i in pairs], frame, focal_length)
+        if pixel_pitch is None:
+            raise ValueError("pixel_pitch must be given with focal_length, µm, got none")
+    sensor_pitch = pitch_pair(1.0 if pixel_pitch is None else pixel_pitch)
+    points = correspondences(world, image, pitch, image_size)
+    images: list[Array] = [each - points.middle for each in points.image]
+    views = Photographs(points.world, images, sensor_pitch, focal_length)
     fit, alone = fit_views(views)
     fit = add_lens_terms(views, fit)
     # Wrong units lead to a magnification below zero, or to residuals as large as the image.
-    if not (fit.poses[:, 0] > 0).all() or np.sqrt(views.residual_variance(fit)) > max(size) / 20:
+    largest = max(points.image_size) / 20
+    if not (fit.poses[:, 0] > 0).all() or np.sqrt(views.residual_variance(fit)) > largest:
         raise views.refusal
-    return _build_result(views, fit, alone, _mark_numbers(views, fit, marks))
+    return _build_result(points, views, fit, alone, pixel_pitch is not None)
 
 
-def _inputs(
-    world: Any, image: Any, pitch: float | None, image_size: Any
-) -> tuple[list[Any], list[Any], Array | None, tuple[int, int]]:
-    """World and image points of each view, the grid coordinates of the mark of each point if marks
-    have several points, and the size of the images."""
-    several = isinstance(world, (list, tuple)) and (
-        isinstance(world[0], Detection) or np.ndim(world[0]) > 1
-    )
-    worlds = list(world) if several else [world]
-    found = [each for each in worlds if isinstance(each, Detection)]
-    if not found:
-        if pitch is not None:
-            raise ValueError("pitch must be left out with points in µm, got one")
-        if image_size is None:
-            raise ValueError("image_size must be given, (width, height) in px, got none")
-        if several and (not isinstance(image, (list, tuple)) or len(image) != len(worlds)):
-            raise ValueError(f"image must hold one array for each of the {len(worlds)} views")
-        return worlds, list(image) if several else [image], None, image_size
-    if image is not None or image_size is not None:
-        raise ValueError("image and image_size must not be given with a detection")
-    if len(found) < len(worlds):
-        raise ValueError("world must hold either detections or points, got both")
-    if pitch is None:
-        raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
-    pitch = scalar("pitch", pitch, above=0)
-    size = found[0].image_size
-    if any(each.image_size != size for each in found):
-        raise ValueError("world must hold detections in images of one size, got several")
-    squares = any(len(np.unique(each.group)) < len(each.group) for each in found)
-    marks = np.concatenate([each.grid // 2 for each in found]) if squares else None
-    return [pitch * each.positions for each in found], [e.points for e in found], marks, size
-
-
-def _checked_points(world: Any, image: Any, frame: Microscope) -> tuple[Array, Array]:
-    """World points of one view and its image points from the middle of the image."""
-    # Radial alignment has six unknowns up to scale and one equation for each point.
-    world, image = plane_points(5, world=world, image=image)
-    outside = ((image < -1) | (image > frame.image_size)).any(axis=1)
-    if outside.any():
-        raise ValueError(
-            f"image must lie in the image_size of (width, height) = {frame.image_size} px, got "
-            f"{int(outside.sum())} of {len(image)} points beyond it, one at {image[outside][0]}"
-        )
-    return world, image - frame.principal_point
-
-
-def _mark_numbers(views: Views, fit: Fit, marks: Array | None) -> NDArray[np.intp] | None:
+def _mark_numbers(views: Photographs, fit: Fit, marks: Array | None) -> NDArray[np.intp] | None:
     """Number of the mark of each point, None if all points are independent.
 
     Points of several views belong to one mark if they have one place in the pattern. With no more
@@ -196,74 +176,115 @@ def _mark_numbers(views: Views, fit: Fit, marks: Array | None) -> NDArray[np.int
 
 
 def _build_result(
-    views: Views, fit: Fit, alone: list[list[Fit]], marks: NDArray[np.intp] | None
+    points: Correspondences,
+    views: Photographs,
+    fit: Fit,
+    alone: list[list[Fit]],
+    in_um: bool,
 ) -> Calibration:
-    """Estimates with their covariance, the undetermined ones, and a microscope for each view."""
+    """Estimates with their covariance, the undetermined ones, and a microscope for each view.
+
+    `in_um` states whether the pixel pitch is known, and with it lengths on the sensor in µm.
+    """
+    marks = _mark_numbers(views, fit, points.marks)
     test = check_fit(views, fit, marks)
     inner = noise_covariance(views, fit, marks) + test.covariance
     undetermined = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.residual_variance(fit))
-    names, lens, estimate = np.array(fit.names), fit.lens.copy(), fit.estimate
-    if "focal_length" in names[undetermined]:  # an infinite one is reported as a kilometer
-        lens[0] = max(lens[0], 1 / (KILOMETER * (1 + fit.poses[0, 0])))
-    scopes = [_microscope(views, lens, pose) for pose in fit.poses]
-    by_fitted = np.eye(len(estimate))
-    if "focal_length" in names:  # f = 1/((1 + M) p) replaces the fitted p = 1/(T_op + f)
-        f = estimate[1] = scopes[0].focal_length
-        by_fitted[1, :2] = -f / (1 + estimate[0]), -f / lens[0]
-    outer = by_fitted @ np.where(np.isfinite(inner), inner, 0.0) @ by_fitted.T
-    outer[undetermined] = outer[:, undetermined] = np.nan
-    outer[undetermined, undetermined] = np.inf
-    residuals = -fit.residuals.reshape(-1, 2)
-    ends = np.cumsum([len(world) for world in views.world])[:-1]
-    # Beside the thesis' projection of a point, so that the other lens terms need no inverse.
-    plane_residuals = [
-        scope.back_project(scope.project(world) + part) - world
-        for scope, world, part in zip(scopes, views.world, np.split(residuals, ends), strict=True)
-    ]
+    if "inverse_principal" in np.array(fit.names)[undetermined]:  # f is then a kilometer at most
+        least = 1 / (KILOMETER * (1 + fit.poses[0, POSE.index("magnification")]))
+        fit = replace(fit, lens=np.maximum(fit.lens, [least, *np.full(len(LENS) - 1, -np.inf)]))
+    names, values, by_fitted = _reported(fit, in_um)
+    covariance = by_fitted @ np.where(np.isfinite(inner), inner, 0.0) @ by_fitted.T
+    covariance[undetermined] = covariance[:, undetermined] = np.nan
+    covariance[undetermined, undetermined] = np.inf
+    dof = fit.dof if marks is None else int(marks.max())
+    std = np.sqrt(np.diag(covariance)).tolist()
+    scopes = [_microscope(points, views, fit.lens, pose) for pose in fit.poses]
+    pairs = list(zip(scopes, points.world, points.image, strict=True))
     return Calibration(
         microscope=scopes[0],
-        parameters=tuple(fit.names),
-        estimate=estimate,
-        covariance=outer,
-        undetermined=tuple(names[undetermined].tolist()),
-        dof=fit.dof if marks is None else int(marks.max()),
-        residuals=residuals,
-        plane_residuals=np.concatenate(plane_residuals),
-        misfit=test.misfit,
+        parameters={
+            name: _estimate(name, value, each, dof, in_um)
+            for name, value, each in zip(names, values.tolist(), std, strict=True)
+        },
+        covariance=covariance,
+        undetermined=tuple(np.array(names)[undetermined].tolist()),
+        dof=dof,
+        residuals=np.concatenate([seen - s.project(world) for s, world, seen in pairs]),
+        plane_residuals=np.concatenate([s.back_project(seen) - w for s, w, seen in pairs]),
+        lack_of_fit=test.lack_of_fit,
         p_value=test.p_value,
         views=tuple(scopes),
         held_out=held_out_errors(views, fit, alone),
     )
 
 
-def _microscope(views: Views, lens: Array, pose: Array) -> Microscope:
+def _reported(fit: Fit, in_um: bool) -> tuple[list[str], Array, Array]:
+    """Names and values of the parameters of the result, and their derivatives by the fitted ones.
+
+    The focal length f = 1/((1 + M) p), or the principal distance 1/p, replaces p = 1/(T_op + f).
+    """
+    values, by_fitted = fit.estimate, np.eye(len(fit.free))
+    if "inverse_principal" in fit.names:
+        p, m = fit.names.index("inverse_principal"), fit.names.index("magnification")
+        distance = values[p] = 1 / (values[p] * ((1 + values[m]) if in_um else 1.0))
+        by_fitted[p, p] = -distance / fit.lens[LENS.index("inverse_principal")]
+        by_fitted[p, m] = -distance / (1 + values[m]) if in_um else 0.0
+    principal, scale = _IN_UM if in_um else _IN_PX
+    names = [name.replace("inverse_principal", principal) for name in fit.names]
+    return [name.replace("magnification", scale) for name in names], values, by_fitted
+
+
+def _estimate(name: str, value: float, std: float, dof: int, in_um: bool) -> Estimate:
+    """Estimate of a parameter with its interval from Student's distribution."""
+    kind = re.sub(r"_\d+$", "", name)  # without the number of the view
+    unit = _UNITS[kind].replace("sensor", "µm" if in_um else "px")
+    least = 0.0 if kind in (*_IN_UM, *_IN_PX) else -np.inf
+    if np.isinf(std):
+        return Estimate(np.nan, np.inf, least, np.inf, unit)
+    if kind in (_IN_UM[0], _IN_PX[0]):  # the error of the reciprocal is nearly normal
+        return reciprocal_estimate(value, std / value, dof, unit)
+    half = student_quantile(dof) * std
+    return Estimate(value, std, max(value - half, least), value + half, unit)
+
+
+def _microscope(
+    points: Correspondences, views: Photographs, lens: Array, pose: Array
+) -> Microscope:
     """The microscope of a view, in focus."""
-    magnification, *rest = pose.tolist()
-    f = views.focal_length or 1 / (lens[0] * (1 + magnification))
-    lengths = {"tube_length": magnification * f, "focal_length": f, "distance": f / magnification}
-    return replace(
-        views.frame, distortion=lens[1], **lengths, **dict(zip(POSE[1:], rest, strict=True))
+    view = dict(zip((*LENS, *POSE), (*lens.tolist(), *pose.tolist()), strict=True))
+    magnification, inverse_principal = view.pop("magnification"), view.pop("inverse_principal")
+    f = views.focal_length or 1 / (inverse_principal * (1 + magnification))
+    return Microscope(
+        tube_length=magnification * f,
+        focal_length=f,
+        distance=f / magnification,
+        principal_offset=(view.pop("principal_x"), view.pop("principal_y")),
+        pixel_pitch=tuple(views.pitch.tolist()),
+        image_size=points.image_size,
+        **view,
     )
 
 
 def _undetermined(
-    fit: Fit, alone: list[list[Fit]], sigma: Array, variance: float
+    fit: Fit, alone: list[list[Fit]], std: Array, variance: float
 ) -> NDArray[np.bool_]:
-    """Which parameters the points do not determine, of `Fit.estimate` with its standard errors."""
-    kinds = np.array([name.split("_")[0] for name in fit.names])
-    undetermined = np.isinf(sigma)
-    focal = kinds == "focal"
-    if focal.any():
+    """Which parameters the points do not determine, of `Fit.estimate` with its uncertainties."""
+    tilted = np.array([name.startswith(("beta", "gamma")) for name in fit.names])
+    undetermined = np.isinf(std)
+    if "inverse_principal" in fit.names:
+        p = fit.names.index("inverse_principal")
         # As the sign of the tilt is free, 1/(T_op + f) is never negative. Of 150 noisy views
         # without tilt the largest was 2.2 standard errors; four allow for a larger scatter.
-        if not fit.estimate[focal] > 4 * sigma[focal]:
-            undetermined |= np.isin(kinds, ["focal", "beta", "gamma"])
+        if not fit.estimate[p] > 4 * std[p]:
+            undetermined |= tilted
+            undetermined[p] = True
         return undetermined
-    tilts = np.flatnonzero(np.isin(kinds, ["beta", "gamma"])).reshape(-1, 2)
-    for tilt, (best, other) in zip(tilts, alone, strict=True):
-        difference = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, 2:4])))
+    angles = [POSE.index("beta"), POSE.index("gamma")]
+    for tilt, (best, other) in zip(np.flatnonzero(tilted).reshape(-1, 2), alone, strict=True):
+        difference = np.abs(np.angle(np.exp(1j * (best.poses - other.poses)[0, angles])))
         # The two minima differ by three standard errors of the tilt, and their sums of squares by
         # less than (2 σ)² of the noise: nothing prefers one of them.
-        if (difference > 3 * sigma[tilt]).any() and other.rss - best.rss < 4 * variance:
+        if (difference > 3 * std[tilt]).any() and other.rss - best.rss < 4 * variance:
             undetermined[tilt] = True
     return undetermined

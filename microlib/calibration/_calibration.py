@@ -9,25 +9,23 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from microlib._common import Array, Result, as_array, one_of, scalar
-from microlib.calibration._uncertainty import reciprocal_interval, student_quantile
-from microlib.microscope import Microscope, distort
+from microlib._common import Array, Result, as_array
+from microlib.calibration._uncertainty import reciprocal_estimate
+from microlib.estimate import Estimate
+from microlib.microscope import Microscope, undistort
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Fields with numbers that may be infinite or NaN, which JSON can hold as texts only.
-_NUMBERS = (
-    *("estimate", "covariance", "residuals", "plane_residuals"),
-    *("misfit", "p_value", "held_out"),
-)
+_NUMBERS = ("covariance", "residuals", "plane_residuals", "lack_of_fit", "p_value", "held_out")
 
 
 @dataclass(frozen=True)
 class ErrorSummary(Result):
     """Statistics of the distances between two sets of points, as in Table 5.2.
 
-    Parameters
+    Attributes
     ----------
     mean, std, max, rms : float
         In the unit of the points.
@@ -50,32 +48,33 @@ class ErrorSummary(Result):
 class Calibration(Result):
     """A calibrated microscope with the covariance of its parameters.
 
-    Parameters
+    Attributes
     ----------
     microscope : Microscope
-        Microscope with the estimated parameters, in focus: d = f²/T_op (2.20).
-    parameters : tuple of str
-        Names of the estimated parameters, in the order of `estimate` and `covariance`. Lengths are
-        in µm, angles in rad, κ in 1/µm².
-    estimate : ndarray, shape (p,)
-        Estimates of the parameters.
+        Microscope with the estimated parameters, in focus: d = f²/T_op (2.20). Without the pixel
+        pitch it is one with pixels of 1 µm that makes the same images: its `principal_distance`,
+        its pose and all projections are right, but not its magnification, tube length, focal length
+        and distance.
+    parameters : dict of str to Estimate
+        The estimated parameters by name, with uncertainty, 95 % interval and unit. The uncertainty
+        of a parameter that the points do not determine is infinite and its value is NaN.
     covariance : ndarray, shape (p, p)
-        Covariance of the estimates. Undetermined parameters have infinite variances and NaN
-        covariances.
+        Covariance of the parameters, in their order. Undetermined parameters have infinite
+        variances and NaN covariances.
     undetermined : tuple of str
-        Parameters that the points do not determine. Their estimates have no meaning.
+        Parameters that the points do not determine.
     dof : int
         Degrees of freedom of the covariance, for Student's distribution.
     residuals : ndarray, shape (N, 2)
-        Image points minus their projection, px.
+        Image points minus their projection by the microscopes in `views`, px.
     plane_residuals : ndarray, shape (N, 2)
-        Image points projected back to the pattern minus the world points, µm.
-    misfit : float
+        Image points projected back to the pattern by these microscopes minus the world points, µm.
+    lack_of_fit : float
         Size of the smooth part of the residuals over its size by noise alone, the root of the
         ratio of the lack-of-fit F test. About one for an adequate model, NaN for fewer than 24
         marks.
     p_value : float
-        Probability of a larger misfit by noise alone, 1 if `misfit` is NaN. Below 0.1 the
+        Probability of a larger lack of fit by noise alone, 1 if `lack_of_fit` is NaN. Below 0.1 the
         covariance includes the model discrepancy, for example another distortion or a bent pattern.
         The part of it that changes the parameters is assumed to be as large as the part that
         remains in the residuals.
@@ -88,29 +87,28 @@ class Calibration(Result):
     """
 
     microscope: Microscope
-    parameters: tuple[str, ...]
-    estimate: Array
+    parameters: dict[str, Estimate]
     covariance: Array
     undetermined: tuple[str, ...]
     dof: int
     residuals: Array
     plane_residuals: Array
-    misfit: float
+    lack_of_fit: float
     p_value: float
     views: tuple[Microscope, ...]
     held_out: Array
 
     def __repr__(self) -> str:
-        value, low, high = self.um_per_pixel()
-        span = f"in {low:.6g} … {high:.6g}" if high < np.inf else f"above {low:.6g}"
+        pixel, scope = self.um_per_pixel, self.microscope
+        focal = self.parameters.get("focal_length", f"{scope.focal_length:.6g} µm")
+        lens = f"magnification {scope.magnification:.6g}, focal length {focal}"
+        if self.pixel_pitch is None:
+            lens = f"principal distance {self.principal_distance}"
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
             f"{self.reprojection.rms:.3g} px rms residual",
-            f"  {value:.6g} µm per pixel at the origin of the{' first' * (len(self.views) > 1)} "
-            f"pattern, {'95 % ' + span if low else 'undetermined'}",
-            f"  magnification {self.microscope.magnification:.6g}, "
-            f"focal length {self.microscope.focal_length:.6g} µm, "
-            f"tilt {np.rad2deg(self.microscope.tilt):.3g}°",
+            f"  {pixel} at the origin of the{' first' * (len(self.views) > 1)} pattern",
+            f"  {lens}, tilt {np.rad2deg(scope.tilt):.3g}°",
         ]
         if self.undetermined:
             lines.append(f"  undetermined: {', '.join(self.undetermined)}")
@@ -120,8 +118,8 @@ class Calibration(Result):
                 f"  {median:.3g} px rms in held-out views, at most {np.nanmax(self.held_out):.3g}"
             )
         if not self.adequate:
-            lines.append(f"  the model is not adequate: misfit {self.misfit:.3g}")
-        elif np.isnan(self.misfit):
+            lines.append(f"  the model is not adequate: lack of fit {self.lack_of_fit:.3g}")
+        elif np.isnan(self.lack_of_fit):
             lines.append("  too few marks to test whether the model is adequate")
         return "\n".join(lines)
 
@@ -129,8 +127,8 @@ class Calibration(Result):
     def adequate(self) -> bool:
         """False if the residuals contradict the model: `p_value` is below 0.001.
 
-        It is True where the marks are too few for a test. `misfit` is then NaN, and the intervals
-        contain no error of the model, such as distortion of a higher order.
+        It is True where the marks are too few for a test. `lack_of_fit` is then NaN, and the
+        intervals contain no error of the model, such as distortion of a higher order.
         """
         return self.p_value >= 1e-3
 
@@ -145,66 +143,42 @@ class Calibration(Result):
         return ErrorSummary.of(self.plane_residuals)
 
     @property
-    def sigma(self) -> dict[str, float]:
-        """Standard deviation of each parameter."""
-        return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+    def pixel_pitch(self) -> float | tuple[float, float] | None:
+        """Pixel pitch of the sensor that was given, µm."""
+        return self.microscope.pixel_pitch if "magnification" in self.parameters else None
 
-    def interval(self, parameter: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of a parameter, from Student's distribution.
+    @property
+    def um_per_pixel(self) -> Estimate:
+        """Width of a pixel at the distance of the pattern's origin, µm/px.
 
-        The interval of the focal length is the reciprocal of that of 1/f, whose error is nearly
-        normal. Lower limits of focal length and magnification are at least zero.
-
-        Parameters
-        ----------
-        parameter : str
-            One of `parameters`.
-        level : float
-            Confidence level.
-
-        Returns
-        -------
-        low, high : float
-            Limits in the unit of the parameter.
-
-        Raises
-        ------
-        ValueError
-            If `parameter` was not estimated or `level` is not in (0, 1).
+        It is the pixel pitch over the magnification of the first view. The origin is the point
+        (0, 0) of `world`: of a `Detection`, the mark (0, 0) of the grid. Other points of a tilted
+        pattern are nearer to the lens or farther away, and their pixels are smaller or larger: by
+        up to tan(tilt) times the distance from the origin over that from the lens. The interval
+        does not contain these differences.
         """
-        k = self.parameters.index(one_of("parameter", parameter, self.parameters))
-        level = scalar("level", level, above=0, below=1)
-        std = float(np.sqrt(self.covariance[k, k]))
-        # Half of an infinite interval is infinite at any level.
-        half = std if np.isinf(std) else student_quantile(self.dof, level) * std
-        value = float(self.estimate[k])
-        if parameter == "focal_length":
-            return reciprocal_interval(value, half / value)
-        least = 0.0 if parameter.startswith("magnification") else -np.inf
-        return max(value - half, least), value + half
+        scale = self.parameters["px_per_um" if self.pixel_pitch is None else "magnification"]
+        pitch = float(self.microscope.pitch[0])
+        high = pitch / scale.low if scale.low > 0 else np.inf
+        uncertainty = pitch * scale.uncertainty / scale.value**2
+        return Estimate(pitch / scale.value, uncertainty, pitch / scale.high, high, "µm/px")
 
-    def um_per_pixel(self, level: float = 0.95) -> tuple[float, float, float]:
-        """Width of a pixel at the distance of the pattern's origin, µm, with its interval.
-
-        It is the width of a sensor pixel over the magnification of the first view. The origin is
-        the point (0, 0) of `world`: of a `Detection`, the mark (0, 0) of the grid. Other points of
-        a tilted pattern are nearer to the lens or farther away, and their pixels are smaller or
-        larger: by up to tan(tilt) times the distance from the origin over that from the lens. The
-        interval does not contain these differences.
-
-        Parameters
-        ----------
-        level : float
-            Confidence level.
-
-        Returns
-        -------
-        value, low, high : float
-        """
-        low, high = self.interval("magnification", level)
-        pixel_pitch = float(self.microscope.pitch[0])
-        low = pixel_pitch / low if low else np.inf
-        return pixel_pitch / self.microscope.magnification, pixel_pitch / high, low
+    @property
+    def principal_distance(self) -> Estimate:
+        """Principal distance T_op + f along x, px: the focal length f_x of OpenCV's camera."""
+        if "principal_distance" in self.parameters:
+            return self.parameters["principal_distance"]
+        # T_op + f = f (1 + M)
+        relative = {"magnification": 1 / (1 + self.microscope.magnification)}
+        if "focal_length" in self.parameters:
+            relative["focal_length"] = 1 / self.microscope.focal_length
+        gradient = np.array([relative.get(name, 0.0) for name in self.parameters])
+        if set(relative) & set(self.undetermined):
+            return Estimate(np.nan, np.inf, 0.0, np.inf, "px")
+        used = gradient != 0
+        variance = gradient[used] @ self.covariance[np.ix_(used, used)] @ gradient[used]
+        value = float(self.microscope.principal_distance[0])
+        return reciprocal_estimate(value, float(np.sqrt(variance)), self.dof, "px")
 
     def to_frame(self) -> pd.DataFrame:
         """Return the parameters as a table.
@@ -212,23 +186,15 @@ class Calibration(Result):
         Returns
         -------
         pandas.DataFrame
-            A row for each parameter with the estimate, its standard deviation, the limits of its
-            95 % interval, and whether the points determine it. Lengths are in µm, angles in rad, κ
-            in 1/µm².
+            A row for each parameter with the estimate, its uncertainty, the limits of its 95 %
+            interval, its unit, and whether the points determine it.
         """
         import pandas as pd  # here, as it takes long to import
 
-        spans = np.array([self.interval(name) for name in self.parameters])
-        return pd.DataFrame(
-            {
-                "estimate": self.estimate,
-                "sigma": list(self.sigma.values()),
-                "low": spans[:, 0],
-                "high": spans[:, 1],
-                "determined": [name not in self.undetermined for name in self.parameters],
-            },
-            index=pd.Index(self.parameters, name="parameter"),
-        )
+        rows = [vars(each) for each in self.parameters.values()]
+        names = pd.Index(self.parameters, name="parameter")
+        determined = [name not in self.undetermined for name in self.parameters]
+        return pd.DataFrame(rows, index=names).assign(determined=determined)
 
     def plot(self, ax: Any = None, *, found: Any, images: Any = None) -> Any:
         """Draw the points with their places in the grid and the residuals, by Matplotlib.
@@ -267,15 +233,17 @@ class Calibration(Result):
         -------
         str
         """
-        scope = self.microscope
-        center = scope.principal_point + np.array([self._value(f"principal_{c}") for c in "xy"])
-        distance = (scope.tube_length + scope.focal_length) / scope.pitch
-        terms, worst = self._brown()
-        width, *ends = self.um_per_pixel()
-        height = width * scope.pitch[1] / scope.pitch[0]
-        pixel = np.sqrt(width * height)
+        scope, pixel = self.microscope, self.um_per_pixel
+        distance, center = scope.principal_distance, scope.principal_point
+        terms, worst = _brown(scope)
+        # Of the root of the area, and of the height.
+        mean, height = np.sqrt(scope.pitch[1] / scope.pitch[0]), scope.pitch[1] / scope.pitch[0]
         own = {n: v for n, v in vars(self).items() if n != "microscope"}
         own |= {n: np.array(own[n]).astype(str) for n in _NUMBERS}
+        own["parameters"] = {
+            name: {key: str(number) for key, number in vars(each).items()}
+            for name, each in self.parameters.items()
+        }
         content = {
             "opencv": {
                 "image_width": scope.image_size[0],
@@ -290,10 +258,14 @@ class Calibration(Result):
                 "rotation_vectors": [cv2.Rodrigues(v.rotation)[0].ravel() for v in self.views],
                 "translation_vectors_um": [v.translation for v in self.views],
             },
-            "micro_manager": {"PixelSizeUm": pixel},
-            "imagej": {"unit": "µm", "pixel_width": width, "pixel_height": height},
+            "micro_manager": {"PixelSizeUm": mean * pixel.value},
+            "imagej": {
+                "unit": "µm",
+                "pixel_width": pixel.value,
+                "pixel_height": height * pixel.value,
+            },
             "pixel_size_interval_um": [
-                pixel / width * end if end < np.inf else None for end in ends
+                mean * end if end < np.inf else None for end in pixel.interval
             ],
             "calibration": own | {"views": [vars(view) for view in self.views]},
         }
@@ -320,33 +292,34 @@ class Calibration(Result):
         try:
             own = json.loads(text)["calibration"]
             own |= {n: np.array(own[n]).astype(float)[()] for n in _NUMBERS}
+            for name, each in own["parameters"].items():
+                value, uncertainty, low, high, unit = each.values()
+                numbers = float(value), float(uncertainty), float(low), float(high)
+                own["parameters"][name] = Estimate(*numbers, unit)
             own["views"] = [Microscope(**view) for view in own["views"]]
             own |= {n: tuple(v) for n, v in own.items() if isinstance(v, list)}
             return cls(microscope=own["views"][0], **own)
         except (TypeError, LookupError, ValueError) as fault:
             raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
 
-    def _value(self, parameter: str) -> float:
-        """The estimate of a parameter, zero if it was not estimated."""
-        return dict(zip(self.parameters, self.estimate.tolist(), strict=True)).get(parameter, 0.0)
 
-    def _brown(self) -> tuple[list[float], float]:
-        """OpenCV's k₁, k₂, p₁, p₂, k₃ for this model, and their largest deviation from it, px.
+def _brown(scope: Microscope) -> tuple[list[float], float]:
+    """OpenCV's k₁, k₂, p₁, p₂, k₃ for a microscope, and their largest deviation from it, px.
 
-        OpenCV's polynomial leads from undistorted to distorted points, with the radius in principal
-        distances. The polynomial of this model is its inverse.
-        """
-        scope = self.microscope
-        distance = scope.tube_length + scope.focal_length
-        corner = float(np.linalg.norm(scope.pitch * scope.image_size)) / 2
-        radius = np.linspace(0, corner)[1:]
-        seen = distort(np.column_stack([radius, 0 * radius]), scope.distortion)[:, 0]
-        stretch = seen / radius * (1 + self._value("distortion_k2") * seen**4) - 1
-        reached = np.isfinite(stretch)
-        radius, wanted = radius[reached, None], (stretch * radius)[reached]
-        powers = 2 * np.arange(1, 4)
-        design = radius * (radius / corner) ** powers
-        best = np.linalg.lstsq(design, wanted, rcond=None)[0]
-        worst = np.abs(design @ best - wanted).max() / scope.pitch.min()
-        k1, k2, k3 = (best * (distance / corner) ** powers).tolist()
-        return [k1, k2, 0.0, 0.0, k3], float(worst)
+    OpenCV's polynomial leads from undistorted to distorted points, with the radius in principal
+    distances. The polynomial of this model is its inverse.
+    """
+    distance = scope.tube_length + scope.focal_length
+    ends = np.array([[-0.5, -0.5], np.array(scope.image_size) - 0.5]) - scope.principal_point
+    corner = float(np.linalg.norm(np.abs(ends).max(axis=0) * scope.pitch))
+    seen = np.linspace(0, corner)[1:]
+    points = np.column_stack([seen, 0 * seen])
+    radius = undistort(points, scope.distortion, scope.distortion_k2)[:, 0]
+    reached = np.isfinite(radius)  # up to the fold of the distortion
+    seen, radius = seen[reached], radius[reached]
+    powers = 2 * np.arange(1, 4)
+    design = radius[:, None] * (radius[:, None] / corner) ** powers
+    best = np.linalg.lstsq(design, seen - radius, rcond=None)[0]
+    worst = np.abs(design @ best - (seen - radius)).max() / scope.pitch.min()
+    k1, k2, k3 = (best * (distance / corner) ** powers).tolist()
+    return [k1, k2, 0.0, 0.0, k3], float(worst)

@@ -7,24 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Result, as_array, same_length
-from microlib.calibration._uncertainty import KILOMETER, reciprocal_interval, student_quantile
+from microlib._common import Array, Result, inverse_normal
+from microlib.calibration._points import plane_points
+from microlib.calibration._uncertainty import reciprocal_estimate
+from microlib.estimate import Estimate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StageAffine(Result):
     """Affine map from stage positions to the image.
 
-    Parameters
+    Attributes
     ----------
     matrix : ndarray, shape (2, 3)
         Image point in px = matrix[:, :2] @ position in µm + matrix[:, 2].
     covariance : ndarray, shape (6, 6)
         Covariance of the elements of `matrix`, row by row; NaN for three moves, which leave no
         residual.
-    um_per_pixel : tuple of float
-        Square root of the area of a pixel on the stage, µm, and the limits of its 95 % interval.
-        The upper limit is infinite if the moves do not determine it.
+    um_per_pixel : Estimate
+        Square root of the area of a pixel on the stage, µm/px. The upper limit of its interval is
+        infinite if the moves do not determine it. Three moves leave its uncertainty and its limits
+        NaN.
     angle : float
         Angle from the x axis of the image to that of the stage, rad, positive from x to y.
     mirrored : bool
@@ -35,7 +38,7 @@ class StageAffine(Result):
 
     matrix: Array
     covariance: Array
-    um_per_pixel: tuple[float, float, float]
+    um_per_pixel: Estimate
     angle: float
     mirrored: bool
     residuals: Array
@@ -45,20 +48,6 @@ class StageAffine(Result):
         """Micro-Manager's PixelSizeAffine: six numbers "a;b;0;c;d;0" from px to µm of the stage."""
         (a, b), (c, d) = np.linalg.inv(self.matrix[:, :2])
         return ";".join(f"{float(n):.9g}" for n in (a, b, 0, c, d, 0))
-
-
-def plane_points(least: int, **named: ArrayLike) -> list[Array]:
-    """Checked points (N, 2) and their images: at least `least`, and not on one line."""
-    pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
-    same_length(tuple(named), *pairs)
-    for name, points in zip(named, pairs, strict=True):
-        if len(points) < least:
-            raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
-        triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
-        extent = np.linalg.svd(triangle, compute_uv=False)
-        if not extent[-1] > max(1e-6 * extent[0], 1 / KILOMETER):
-            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
-    return pairs
 
 
 def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
@@ -93,7 +82,7 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     >>> from microlib.calibration import stage_affine
     >>> moves = np.array([[0.0, 0], [50, 0], [0, 50], [50, 50], [-50, 0], [0, -50]])
     >>> found = stage_affine(moves, moves @ np.array([[0.0, 2.0], [-2.0, 0.0]]) + [320, 240])
-    >>> round(found.um_per_pixel[0], 6), round(found.angle / np.pi, 6), found.mirrored
+    >>> round(found.um_per_pixel.value, 6), round(found.angle / np.pi, 6), found.mirrored
     (0.5, 0.5, False)
     """
     stage, image = plane_points(3, stage=stage, image=image)  # parameters of each coordinate
@@ -105,17 +94,16 @@ def stage_affine(stage: ArrayLike, image: ArrayLike) -> StageAffine:
     dof = 2 * (len(stage) - 3)
     variance = float((residuals**2).sum()) / dof if dof else np.nan
     matrix = (middle @ best).T
-    one = middle @ np.linalg.inv(design.T @ design) @ middle.T
-    covariance = variance * np.kron(np.eye(2), one)
+    each = middle @ inverse_normal(design) @ middle.T  # of the three numbers of a row
+    covariance = variance * np.kron(np.eye(2), each)
     linear = matrix[:, :2]
     pixel = 1 / np.sqrt(np.abs(np.linalg.det(linear)))
     by = 0.5 * np.linalg.inv(linear).T.ravel()  # d log √|det A| = ½ tr(A⁻¹ dA)
     relative = np.sqrt(by @ covariance[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])] @ by)
-    half_width = float(relative * student_quantile(dof)) if dof else np.nan
     return StageAffine(
         matrix=matrix,
         covariance=covariance,
-        um_per_pixel=(float(pixel), *reciprocal_interval(float(pixel), half_width)),
+        um_per_pixel=reciprocal_estimate(float(pixel), float(relative), dof, "µm/px"),
         angle=float(np.arctan2(linear[1, 0], linear[0, 0])),
         mirrored=bool(np.linalg.det(linear) < 0),
         residuals=residuals,

@@ -1,74 +1,22 @@
-"""Covariance of calibrated parameters by image noise, their intervals, and the Cramér–Rao bound."""
+"""Covariance of calibrated parameters from image noise, and estimates with their intervals."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from microlib._common import Array, inverse_normal, scalar
-from microlib.calibration._views import Fit, Views
-from microlib.microscope import Microscope
+from microlib._common import Array, inverse_normal
+from microlib.calibration._fit import Fit, Photographs
+from microlib.estimate import Estimate
 
-#: A kilometer, µm: an infinite focal length is reported as this length, and no noise in px is
-#: larger.
+#: A kilometer, µm: an infinite focal length is reported as this length.
 KILOMETER = 1e9
 
 
-def cramer_rao(
-    microscope: Microscope, world: ArrayLike, noise: float, parameters: tuple[str, ...]
-) -> Array:
-    """Smallest covariance any unbiased estimate of `parameters` can have.
-
-    Parameters
-    ----------
-    microscope : Microscope
-        The true microscope.
-    world : array_like, shape (N, 2)
-        Points of the pattern plane, µm.
-    noise : float
-        Standard deviation of each coordinate of the image points, px.
-    parameters : tuple of str
-        Names of the parameters that are estimated together, see
-        :meth:`microlib.microscope.Microscope.jacobian`. The other parameters are known.
-
-    Returns
-    -------
-    ndarray, shape (p, p)
-        (JᵀJ)⁻¹ σ². Undetermined parameters have infinite variances and NaN covariances.
-
-    Raises
-    ------
-    ValueError
-        If `world` or `noise` has a wrong shape or value, a point lies outside the domain of
-        the distortion model, or a name is unknown.
-
-    Examples
-    --------
-    No set of points on a plane determines the three lengths:
-
-    >>> import numpy as np
-    >>> from microlib.calibration import cramer_rao
-    >>> from microlib.microscope import Microscope
-    >>> scope = Microscope(
-    ...     200490, 126150, 78750, beta=0.05, pixel_pitch=9.9, image_size=(656, 491))
-    >>> x, y = np.meshgrid(np.linspace(-1500, 1500, 7), np.linspace(-1000, 1000, 5))
-    >>> world = np.column_stack([x.ravel(), y.ravel()])
-    >>> np.diag(cramer_rao(scope, world, 0.02, ("tube_length", "focal_length", "distance")))
-    array([inf, inf, inf])
-    """
-    noise = scalar("noise", noise, least=0, most=KILOMETER)
-    jacobian = microscope.jacobian(world, parameters).reshape(-1, len(parameters))
-    if not np.isfinite(jacobian).all():
-        raise ValueError("world must be points that the microscope sees, got some that it cannot")
-    inverse = inverse_normal(jacobian)
-    with np.errstate(invalid="ignore"):  # an undetermined parameter stays so without noise
-        return np.where(np.isinf(inverse), np.inf, noise**2 * inverse)
-
-
-def student_quantile(dof: float, level: float = 0.95) -> float:
-    """Half-width of a confidence interval in standard deviations, by Student's distribution."""
-    return float(stdtrit(dof, (1 + level) / 2))
+def student_quantile(dof: float) -> float:
+    """Half-width of a 95 % interval in standard deviations, by Student's distribution."""
+    return float(stdtrit(dof, 0.975))
 
 
 def reciprocal_interval(value: float, half_width: float) -> tuple[float, float]:
@@ -78,6 +26,15 @@ def reciprocal_interval(value: float, half_width: float) -> tuple[float, float]:
     no upper limit if the reciprocal's interval contains zero.
     """
     return value / (1 + half_width), np.inf if half_width >= 1 else value / (1 - half_width)
+
+
+def reciprocal_estimate(value: float, relative: float, dof: float, unit: str) -> Estimate:
+    """Estimate of a positive quantity whose reciprocal has a normal error.
+
+    `relative` is the standard deviation of the error over the value.
+    """
+    low, high = reciprocal_interval(value, student_quantile(dof) * relative)
+    return Estimate(value, value * relative, low, high, unit)
 
 
 def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: NDArray) -> Array:
@@ -118,7 +75,7 @@ def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: N
     return np.where(determined, (count - 1) / count * changes @ changes.T, inverse)
 
 
-def noise_covariance(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> Array:
+def noise_covariance(views: Photographs, fit: Fit, marks: NDArray[np.intp] | None) -> Array:
     """Covariance of `Fit.estimate` from the errors of the image points.
 
     `marks` has the number of the mark of each point. The errors of the points of a mark are

@@ -7,10 +7,10 @@ from contextlib import suppress
 import numpy as np
 
 from microlib._common import Array
-from microlib.calibration._views import LENS, Fit, Views, least_squares_fit
+from microlib.calibration._fit import Fit, Photographs, least_squares_fit
 
 
-def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
+def held_out_errors(views: Photographs, fit: Fit, alone: list[list[Fit]]) -> Array:
     """Reprojection error of each view, rms in px, with the lens fitted to other views.
 
     In each of five folds a fifth of the views is left out, and the pose of each of them is fitted.
@@ -33,12 +33,11 @@ def held_out_errors(views: Views, fit: Fit, alone: list[list[Fit]]) -> Array:
     errors = np.full(len(every), np.nan)
     if consistent.sum() < 3:
         return errors
-    lens_free = [k for k in fit.free if k < len(LENS)]
     for fold in range(min(len(every), 5)):
         rest = every[(every % 5 != fold) & consistent]
         with suppress(ValueError):
             start = np.median(lenses[rest], axis=0)
-            lens = least_squares_fit(views.subset(rest), start, poses[rest], lens_free).lens
+            lens = least_squares_fit(views.subset(rest), start, poses[rest], fit.lens_free).lens
             for v in every[every % 5 == fold]:
                 errors[v] = np.sqrt(squared_error(v, lens))
     return errors

@@ -17,24 +17,8 @@ from scipy.sparse import csr_array
 from scipy.special import fdtrc
 
 from microlib._common import Array, inverse_normal
-from microlib.calibration._views import Fit, Views
-
-
-def polynomial_basis(
-    places: Array, points_per_term: int, max_degree: int = 4
-) -> tuple[Array, Array]:
-    """Monomials xⁱ yʲ of places (..., 2), (..., terms), and their degrees i + j, (terms,).
-
-    Places are taken from their mean, in units of their extent. The highest degree d, at most
-    `max_degree`, is the highest with `points_per_term` places for each of the (d + 1)(d + 2)/2
-    terms.
-    """
-    scaled = (places - places.reshape(-1, 2).mean(axis=0)) / np.ptp(places)
-    x, y = np.moveaxis(scaled, -1, 0)
-    terms = [(d + 1) * (d + 2) // 2 for d in range(1, max_degree + 1)]
-    degree = sum(len(places) >= points_per_term * count for count in terms)
-    powers = np.array([(i, total - i) for total in range(degree + 1) for i in range(total + 1)])
-    return np.stack([x**i * y**j for i, j in powers], axis=-1), powers.sum(axis=1)
+from microlib.calibration._fit import Fit, Photographs
+from microlib.calibration._polynomials import polynomial_basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +27,7 @@ class LackOfFit:
 
     Parameters
     ----------
-    misfit : float
+    lack_of_fit : float
         Root of the F ratio: size of the smooth part over its size by noise. About one for an
         adequate model, NaN for too few points.
     p_value : float
@@ -52,12 +36,12 @@ class LackOfFit:
         Covariance of the parameters by the model discrepancy.
     """
 
-    misfit: float
+    lack_of_fit: float
     p_value: float
     covariance: Array
 
 
-def check_fit(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> LackOfFit:
+def check_fit(views: Photographs, fit: Fit, marks: NDArray[np.intp] | None) -> LackOfFit:
     """Test of the residuals of a fit for lack of fit, with the means over the points of a mark.
 
     `marks` has the number of the mark of each point, see `noise_covariance`.
@@ -77,7 +61,7 @@ def check_fit(views: Views, fit: Fit, marks: NDArray[np.intp] | None) -> LackOfF
             jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
     basis = discrepancy_basis(points, view)
     floor = views.rounding_variance(fit.poses)
-    return lack_of_fit(residuals, jacobian, inverse_normal(jacobian), basis, floor)
+    return f_test(residuals, jacobian, inverse_normal(jacobian), basis, floor)
 
 
 def discrepancy_basis(points: Array, view: NDArray[np.intp]) -> Array:
@@ -102,7 +86,7 @@ def discrepancy_basis(points: Array, view: NDArray[np.intp]) -> Array:
     return np.hstack([np.sqrt(len(each)) * smooth(points), block_diag(*each)])
 
 
-def lack_of_fit(
+def f_test(
     residuals: Array, jacobian: Array, inverse: Array, basis: Array, floor: float
 ) -> LackOfFit:
     """F test of residuals against a basis of the model discrepancy.
@@ -140,7 +124,7 @@ def lack_of_fit(
     smooth_dof = int(kept.sum())
     noise_dof = len(residuals) - len(shifts) - smooth_dof
     if smooth_dof == 0 or noise_dof <= 0:
-        return LackOfFit(misfit=np.nan, p_value=1.0, covariance=np.zeros_like(inverse))
+        return LackOfFit(lack_of_fit=np.nan, p_value=1.0, covariance=np.zeros_like(inverse))
     smooth = float(((axes.T @ (remainder.T @ residuals))[kept] ** 2 / squares[kept]).sum())
     noise = max((float((residuals**2).sum()) - smooth) / noise_dof, floor)
     ratio = max(smooth / smooth_dof, floor) / noise  # one for residuals by rounding alone
@@ -148,7 +132,7 @@ def lack_of_fit(
     excess = smooth - noise * smooth_dof if p_value < 1 / 10 else 0.0
     amplitude = excess / float((remainder**2).sum())
     return LackOfFit(
-        misfit=float(np.sqrt(ratio)),
+        lack_of_fit=float(np.sqrt(ratio)),
         p_value=p_value,
         covariance=amplitude * shifts @ shifts.T,
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
 from microlib._common import Array, robust_std
-from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
+from microlib.calibration._polynomials import polynomial_basis
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.microscope import distort
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from microlib._common import Array, NormalEquations, gauss_newton, inverse_symmetric
-from microlib.calibration.adequacy._lack_of_fit import polynomial_basis
+from microlib.calibration._polynomials import polynomial_basis
 from microlib.calibration.detection._marks import Rows
 from microlib.calibration.detection._settings import DetectionSettings
 

@@ -1,0 +1,112 @@
+"""Points of a pattern and their images: the arguments of `calibrate`, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microlib._common import Array, as_array, same_length, scalar
+from microlib.calibration._detection import Detection
+from microlib.microscope import whole_size
+
+#: Points whose extent in one direction is below this part of the other lie on one line.
+_ON_ONE_LINE = 1e-6
+#: Smallest extent of points, µm or px: of exact points on one line, rounding errors remain.
+_SMALLEST = 1e-9
+
+
+def plane_points(least: int, **named: ArrayLike) -> list[Array]:
+    """Checked points (N, 2) and their images: at least `least`, and not on one line."""
+    pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
+    same_length(tuple(named), *pairs)
+    for name, points in zip(named, pairs, strict=True):
+        if len(points) < least:
+            raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
+        triangle = np.linalg.qr(points - points.mean(axis=0), mode="r")
+        extent = np.linalg.svd(triangle, compute_uv=False)
+        if not extent[-1] > max(_ON_ONE_LINE * extent[0], _SMALLEST):
+            raise ValueError(f"{name} must not lie on one line, got {len(points)} points that do")
+    return pairs
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Points of the pattern and of its images, of each view.
+
+    Parameters
+    ----------
+    world : list of ndarray, shape (N_v, 2)
+        Points of the pattern, µm.
+    image : list of ndarray, shape (N_v, 2)
+        Image points (x, y), px.
+    image_size : (int, int)
+        Width and height of the images, px.
+    marks : ndarray, shape (N, 2), or None
+        Grid coordinates of the mark of each point of all views, if marks have several points.
+    """
+
+    world: list[Array]
+    image: list[Array]
+    image_size: tuple[int, int]
+    marks: Array | None
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the images, (x, y) px."""
+        return (np.asarray(self.image_size) - 1) / 2
+
+
+def correspondences(
+    world: Any, image: Any, pitch: float | None, image_size: Any
+) -> Correspondences:
+    """Points of each view from the arguments of `calibrate`."""
+    several = isinstance(world, (list, tuple)) and (
+        isinstance(world[0], Detection) or np.ndim(world[0]) > 1
+    )
+    views = list(world) if several else [world]
+    detections = [each for each in views if isinstance(each, Detection)]
+    if not detections:
+        if pitch is not None:
+            raise ValueError("pitch must be left out with points in µm, got one")
+        if several and (not isinstance(image, (list, tuple)) or len(image) != len(views)):
+            raise ValueError(f"image must hold one array for each of the {len(views)} views")
+        return _of_points(views, list(image) if several else [image], image_size)
+    if image is not None or image_size is not None:
+        raise ValueError("image and image_size must not be given with a detection")
+    if len(detections) < len(views):
+        raise ValueError("world must hold either detections or points, got both")
+    return _of_detections(detections, pitch)
+
+
+def _of_points(worlds: list[Any], images: list[Any], image_size: Any) -> Correspondences:
+    if image_size is None:
+        raise ValueError("image_size must be given, (width, height) in px, got none")
+    size = whole_size(image_size)
+    # Radial alignment has six unknowns up to scale and one equation for each point.
+    pairs = [plane_points(5, world=w, image=i) for w, i in zip(worlds, images, strict=True)]
+    for _, points in pairs:
+        outside = ((points < -1) | (points > size)).any(axis=1)
+        if outside.any():
+            raise ValueError(
+                f"image must lie in the image_size of (width, height) = {size} px, got "
+                f"{int(outside.sum())} of {len(points)} points beyond it, one at "
+                f"{points[outside][0]}"
+            )
+    return Correspondences([w for w, _ in pairs], [i for _, i in pairs], size, None)
+
+
+def _of_detections(detections: list[Detection], pitch: float | None) -> Correspondences:
+    if pitch is None:
+        raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
+    pitch = scalar("pitch", pitch, above=0)
+    size = detections[0].image_size
+    if any(each.image_size != size for each in detections):
+        raise ValueError("world must hold detections in images of one size, got several")
+    worlds = [pitch * each.positions for each in detections]
+    points = _of_points(worlds, [each.points for each in detections], size)
+    squares = any(len(np.unique(each.group)) < len(each.group) for each in detections)
+    marks = np.concatenate([each.grid // 2 for each in detections]) if squares else None
+    return replace(points, marks=marks)
