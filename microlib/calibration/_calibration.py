@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from microlib._common import Array, Result, as_array
+from microlib._common import Array, Result
 from microlib.calibration._uncertainty import reciprocal_estimate
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope, undistort
@@ -35,13 +35,6 @@ class ErrorSummary(Result):
     std: float
     max: float
     rms: float
-
-    @classmethod
-    def of(cls, differences: Array) -> ErrorSummary:
-        """Summarize differences of points, shape (N, 2)."""
-        distance = np.hypot(*as_array("differences", differences, shape=(None, 2)).T)
-        rms = np.sqrt((distance**2).mean())
-        return cls(float(distance.mean()), float(distance.std()), float(distance.max()), float(rms))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,12 +128,12 @@ class Calibration(Result):
     @property
     def reprojection(self) -> ErrorSummary:
         """Distances in the image, px."""
-        return ErrorSummary.of(self.residuals)
+        return _summary(self.residuals)
 
     @property
     def plane_error(self) -> ErrorSummary:
         """Distances on the pattern plane, µm (Table 5.2)."""
-        return ErrorSummary.of(self.plane_residuals)
+        return _summary(self.plane_residuals)
 
     @property
     def pixel_pitch(self) -> float | tuple[float, float] | None:
@@ -301,6 +294,15 @@ class Calibration(Result):
             return cls(microscope=own["views"][0], **own)
         except (TypeError, LookupError, ValueError) as fault:
             raise ValueError(f"text must be what to_json wrote, got {str(text)[:40]!r}") from fault
+
+
+def _summary(differences: Array) -> ErrorSummary:
+    """Statistics of the lengths of differences of points, shape (N, 2)."""
+    distance = np.hypot(*differences.T)
+    rms = np.sqrt((distance**2).mean())
+    return ErrorSummary(
+        float(distance.mean()), float(distance.std()), float(distance.max()), float(rms)
+    )
 
 
 def _brown(scope: Microscope) -> tuple[list[float], float]:

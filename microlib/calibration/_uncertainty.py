@@ -19,22 +19,15 @@ def student_quantile(dof: float) -> float:
     return float(stdtrit(dof, 0.975))
 
 
-def reciprocal_interval(value: float, half_width: float) -> tuple[float, float]:
-    """Interval of a positive quantity whose reciprocal has a normal error.
-
-    `half_width` is that of the reciprocal's interval, relative to the reciprocal. The quantity has
-    no upper limit if the reciprocal's interval contains zero.
-    """
-    return value / (1 + half_width), np.inf if half_width >= 1 else value / (1 - half_width)
-
-
 def reciprocal_estimate(value: float, relative: float, dof: float, unit: str) -> Estimate:
     """Estimate of a positive quantity whose reciprocal has a normal error.
 
-    `relative` is the standard deviation of the error over the value.
+    `relative` is the standard deviation of the error over the value. The quantity has no upper
+    limit if the interval of the reciprocal contains zero.
     """
-    low, high = reciprocal_interval(value, student_quantile(dof) * relative)
-    return Estimate(value, value * relative, low, high, unit)
+    half_width = student_quantile(dof) * relative
+    high = np.inf if half_width >= 1 else value / (1 - half_width)
+    return Estimate(value, value * relative, value / (1 + half_width), high, unit)
 
 
 def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: NDArray) -> Array:
