@@ -104,7 +104,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 def reject_replaced_packages() -> None:
     """Raise if PYTHONPATH replaces packages, since the book states the installed versions."""
     folders = list(filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)))
-    replaced = {one.name for one in distributions(path=folders)} - {"microlib"}
+    replaced = {one.name for one in distributions(path=folders)} - {"microlib-thesis"}
     if replaced:
         names = ", ".join(sorted(replaced))
         raise ValueError(f"PYTHONPATH must not replace installed packages, got one with {names}.")
