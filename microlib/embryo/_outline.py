@@ -160,8 +160,8 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     ----------
     x, y : array_like, shape (n,)
         Points of the outline, px, y up. The order is that of the outline, or any order if there is
-        one y for each x. The upper part is used of an outline that turns back in x, such as a
-        closed outline. If only the inverted outline has a dimple, y points down.
+        one y for each x. Of an outline that turns back in x, such as a closed
+        one, the upper part is used. If only the inverted outline has a dimple, y points down.
     pixel_size : float
         Size of a pixel in the object plane, µm/px; 1 for points in µm.
 
@@ -237,11 +237,11 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
     """Return the outline around its dimple, x ascending, y up from 0, and if y was down."""
     parts = _single_valued_parts(x, y)
     # The upper part, and the lower part of the inverted outline.
-    sides = [max(parts, key=lambda part: float(np.mean(way * y[part]))) for way in (1, -1)]
-    above, below = _deepest(y[sides[0]]), _deepest(-y[sides[1]])
+    upper, lower = (max(parts, key=lambda part: float(np.mean(sign * y[part]))) for sign in (1, -1))
+    above, below = _deepest(y[upper]), _deepest(-y[lower])
     y_down = below.inside and not above.inside and below.depth > float(np.ptp(y)) / 10
-    chosen, dip, way = (sides[1], below, -1) if y_down else (sides[0], above, 1)
-    across, up = x[chosen], way * y[chosen]
+    part, dip, sign = (lower, below, -1) if y_down else (upper, above, 1)
+    across, up = x[part], sign * y[part]
     # Eight Gaussians describe an outline well within two radii of the bottom.
     reach = 2 * (across[dip.bottom] - across[dip.rim]) or np.inf
     near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
@@ -252,34 +252,35 @@ def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
     others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
-    rough = robust_std(up - loess(across, up, span=SPANS[1]))
-    other = max(*others, 2 * rough)
+    other = max(*others, 2 * robust_std(up - loess(across, up, span=SPANS[1])))
     if dip.depth <= 2 * other:
         raise ValueError(
             f"y must show one dimple, got one of {dip.depth:.2g} px beside others of "
-            f"{other:.2g} px; a closed outline must have its points in order along the outline"
+            f"{other:.2g} px; if x turns back, the points must be in order along the outline"
         )
     # Gaussians fall to zero.
     return across[near], up[near] - up[near].min(), y_down
 
 
 def _single_valued_parts(x: Array, y: Array) -> list[NDArray[np.intp]]:
-    """Return indices of the points by ascending x, in two parts if the outline is closed."""
+    """Return indices of the points by ascending x, in two parts if the outline turns back in x."""
 
     def length(x: Array, y: Array) -> float:
         return float(np.hypot(np.diff(x), np.diff(y)).sum())
 
     order = np.argsort(x, kind="stable")
-    # The order of ascending x jumps between the two parts of a closed outline.
-    if length(x[order], y[order]) < 3 / 2 * length(x, y):
+    # The order of ascending x jumps between the two parts of an outline that turns back.
+    if length(x[order], y[order]) <= length(x, y) * (1 + 1e-9):
         return [order]
     first, last = int(np.argmin(x)), int(np.argmax(x))
     around = np.roll(np.arange(x.size), -first)
     turn = (last - first) % x.size
     # Without the ends, where a closed outline is vertical.
     within = (x > x[first]) & (x < x[last])
-    parts = (part[within[part]] for part in (around[:turn], around[turn:]))
-    return [part[np.argsort(x[part], kind="stable")] for part in parts if part.size]
+    parts = [part[within[part]] for part in (around[:turn], around[turn:])]
+    # A short part is the end of an outline that turns back a little, and contains no dimple.
+    whole = [part for part in parts if part.size >= _MIN_POINTS]
+    return [part[np.argsort(x[part], kind="stable")] for part in whole] or [order]
 
 
 class _Dip(NamedTuple):
