@@ -23,7 +23,9 @@ class TrackerSettings:
     min_correlation : float
         Normalized correlation below which an alignment is not the template.
     max_iterations : int
-        Most steps of an alignment at one level.
+        Most steps of an alignment at one level. With 8 steps 70 % instead of 80 % of the
+        homographies with 40 % of the template hidden are found (40 pairs of development
+        photographs). With 40 steps no more are found.
     rough_tolerance, tolerance : float
         Motion of the corners (px of the frame) that ends a plain alignment: at a level that another
         level refines, and at the last level. One more step after a motion by 0.05 px would move the
@@ -97,7 +99,8 @@ class TrackerSettings:
     blurs : tuple of float
         Standard deviations (px) of the blurs of the template.
     bias_splines : int
-        Cubic splines of the bias along a side.
+        Cubic splines of the bias along a side. With 5 splines 80 % instead of 88 % of the
+        homographies with glare are found (40 pairs of development photographs).
     covariance_factor : float
         Factor of the covariance of a photometric fit for what its model omits: a blur between those
         tried.
@@ -116,7 +119,7 @@ class TrackerSettings:
     smoothing: float = 1.25
     min_visible: float = 0.25
     min_correlation: float = 0.7
-    max_iterations: int = 8
+    max_iterations: int = 20
     rough_tolerance: float = 0.5
     tolerance: float = 0.05
     robust_tolerance: float = 0.01
@@ -146,7 +149,7 @@ class TrackerSettings:
     fine_smoothing: float = 0.6
     window: float = 3.5
     blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
-    bias_splines: int = 5
+    bias_splines: int = 6
     covariance_factor: float = 1.5
     residual_smoothing: float = 1.5
     unrelated_information: float = 0.25

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from microlib._common import Array
 from microlib.tracking._esm import Alignment
-from microlib.tracking._geometry import TINY
 from microlib.tracking.robust._blocks import compare
 from microlib.tracking.robust._covariance import corner_covariance, largest_sigma
 from microlib.tracking.robust._photometric import PhotometricFit
@@ -96,15 +95,11 @@ def confidence(
     *,
     score: float,
     second_score: float,
-    second_motion_score: float,
     inlier_ratio: float,
     displacement: float,
     sigma: float,
 ) -> float:
     """Return the probability that a pose is right within a pixel, by a logistic regression.
-
-    The probability is multiplied by max(0, 1 − a/b) with the score a of the second motion and the
-    score b of the pose: one part of the template may be an object, and the other its background.
 
     Parameters
     ----------
@@ -112,9 +107,6 @@ def confidence(
         Those of the regression.
     score, second_score : float
         Information (nats) in which the blocks agree, and that of the best pose elsewhere.
-    second_motion_score : float
-        How much more some blocks agree at the pose to which other points of the template move
-        together, nats, summed over these blocks; 0 if there is no such pose.
     inlier_ratio : float
         Share of the template's points that stay when they are followed from the pose.
     displacement : float
@@ -125,5 +117,4 @@ def confidence(
     best, second = (np.log1p(max(each, 0.0)) for each in (score, second_score))
     spread = np.log(np.clip(sigma, 1e-3, 10.0))
     features = np.array([1.0, best - second, inlier_ratio, min(displacement, 0.5), spread])
-    one_motion = max(0.0, 1.0 - second_motion_score / max(score, TINY))
-    return float(one_motion / (1.0 + np.exp(-features @ coefficients)))
+    return float(1.0 / (1.0 + np.exp(-features @ coefficients)))

@@ -159,6 +159,9 @@ class Search:
 
         The photometric fits of the candidates `before` compete with those of the starts. The second
         number is the share of the template's points that stay when they are followed from the pose.
+        The probability is multiplied by max(0, 1 − a/b) with the score a of a second motion and the
+        score b of the pose: one part of the template may be an object, and the other its
+        background.
         """
         template, frame, settings = self.template, self.frame, self.template.settings
         scores = [template.score(frame, start) for start in starts]
@@ -176,18 +179,18 @@ class Search:
         layer = frame.layer(template.fine.halvings)
         inlier_ratio, moved = template.points.follow_from(layer, fit.pose)
         candidate = judge_photometric(template, fit)
-        if candidate.confidence or fit.reason:
+        if fit.reason:
             return candidate, inlier_ratio
-        probability = confidence(
+        probability = candidate.confidence or confidence(
             settings.confidence_coefficients,
             score=scores[best],
             second_score=scores[others[0]] if others else 0.0,
-            second_motion_score=self._second_motion_score(fit, moved),
             inlier_ratio=inlier_ratio,
             displacement=np.hypot(*template.displacement(self.pose, fit.pose)) / template.side,
             sigma=largest_sigma(candidate.corner_covariance),
         )
-        return replace(candidate, confidence=probability), inlier_ratio
+        doubt = self._second_motion_score(fit, moved) / max(scores[best], TINY)
+        return replace(candidate, confidence=probability * max(0.0, 1.0 - doubt)), inlier_ratio
 
     def _flow_pose(self, pose: Array) -> Array | None:
         return self.template.points.flow_pose(self.frame.layer(self.template.fine.halvings), pose)
