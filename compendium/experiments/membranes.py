@@ -28,6 +28,7 @@ from microlib.membrane import (
     disc_modulus,
     indent_capsule,
     indent_disc,
+    indentation_force,
 )
 
 #: Flat discs with a clamped rim, under the thesis' pressure F/(π a²) unless they say otherwise. Two
@@ -74,7 +75,8 @@ def modulus_ratios(disc: str) -> pd.Series:
     for load in _LOADS * thesis.MEMBRANE["thickness"] * a:  # µN, for a modulus of 1 MPa
         state = indent_disc(load, a, modulus=1.0, **thesis.MEMBRANE, **DISCS[disc])
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-            found[state.depth / a] = 1 / thesis.modulus(a, state.depth, force=load)
+            by_formula = indentation_force(1.0, a, state.depth, **thesis.MEMBRANE)
+        found[state.depth / a] = float(by_formula / load)
     return pd.Series(found)
 
 
