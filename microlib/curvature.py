@@ -269,7 +269,8 @@ def _differentiate(z: Array, kernels: list[Array], pitches: Array) -> _Derivativ
     )
     border = cv2.BORDER_REPLICATE
     maps = (
-        cv2.sepFilter2D(z, cv2.CV_64F, *pair, borderType=border) / unit for *pair, unit in passes
+        cv2.sepFilter2D(z, cv2.CV_64F, along_x, along_y, borderType=border) / unit
+        for along_x, along_y, unit in passes
     )
     return _Derivatives(*maps)
 
@@ -356,7 +357,7 @@ def hk_labels(
         if gaussian is not None:
             raise ValueError("gaussian must not be given with a Curvature")
         h_zero, k_zero = _noise_limits(mean, h_zero, k_zero)
-        mean, gaussian = mean.mean, mean.gaussian
+        gaussian, mean = mean.gaussian, mean.mean
     if gaussian is None or h_zero is None or k_zero is None:
         raise ValueError("gaussian, h_zero and k_zero must be given with an array, got None")
     h = as_array("mean", mean, finite=False)
