@@ -63,11 +63,6 @@ def outline():
 
 
 @cache
-def dimple():
-    return embryo.fit_dimple(outline(), pixel_size=7.75, probe_half_width=25.0)
-
-
-@cache
 def gripper():
     return synthetic.gripper_scene(0, pixel_size=2.0, shape=(160, 200), reach=40)
 
@@ -90,7 +85,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "embryo._boundary.Boundary.without_probe": lambda: {
         "self": outline(), "image": egg().image
     },
-    "embryo._dimple.DimpleFit.__call__": lambda: {"self": dimple(), "x": np.linspace(200, 300, 9)},
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5,
         "region": (0, 0, 20, 20),
@@ -134,7 +128,6 @@ MAY_BE_UNKNOWN = {
     "microscope.distort", "microscope.undistort",
     "microscope.Microscope.project",
     "microscope.Microscope.back_project", "optics.image_distance",
-    "embryo._dimple.DimpleFit.__call__",
     # Unknown pixels, borders, stretches where the wall is slack, no slope that is steep enough.
     "focus.three_point_peak", "focus.depth_from_focus", "curvature.surface_curvature",
     "curvature.region_table", "membrane.capsule_modulus",

@@ -60,7 +60,7 @@ ANY_SHAPE = (
     *(f"membrane.{name}.*" for name in (
         "elastic_modulus", "indentation_force", "dimple_depth", "dimple_profile",
         "membrane_stress", "mean_strain")),
-    "embryo.GaussianSum.*.x", "embryo._dimple.*",
+    "embryo.GaussianSum.*.x",
     "optics.*_distance", "optics.blur_radius.*", "optics.gaussian_transfer.*",
     "microscope.distort.points", "microscope.undistort.points", "*.pixel_size", "*.pixel_pitch",
     "servoing.StageModel.rounded.position", "servoing.point_jacobian.depth",

@@ -39,7 +39,8 @@ class DimpleGeometry(Tidy):
     rim_radius, dimple_depth : float
         a and w_d of (5.3), in µm.
     covariance : ndarray, shape (2, 2)
-        Covariance of (a, w_d), in µm²; NaN if that of the curve is unknown.
+        Covariance of (a, w_d), in µm²; NaN from `dimple_geometry`, which has no points of the
+        outline.
     rim, bottom : tuple of float
         Maximum on the measured side, and minimum, (x, y) in px with y up.
     """
@@ -79,6 +80,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
 
     See Also
     --------
+    dimple_from_outline : Smooths an outline, and returns the uncertainty of its dimple.
     fit_dimple : Fits (4.2), without the bias of a smooth curve at the bottom of a dimple.
 
     Notes
@@ -87,10 +89,6 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     the measured side in the upper half of the dimple, because a sum of Gaussians may have ripples
     at the bottom. The thesis mentions two maxima, and the coefficients of Table 5.5 have three.
     This rule selects the two extrema that the thesis used.
-
-    The covariance follows from that of the curve's coefficients to first order. A change of a
-    coefficient p moves an extremum by −(∂f'/∂p)/f'' and its height by ∂f/∂p. The bias of the smooth
-    curve at the bottom is not included.
 
     Examples
     --------
@@ -113,22 +111,10 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     beside = maxima[sign * maxima > sign * bottom]
     half_height = (curve(beside).max() + curve(bottom)) / 2
     crest = min(beside[curve(beside) > half_height], key=lambda x: abs(x - bottom))
-    covariance = np.full((2, 2), np.nan)
-    if curve.covariance is not None:
-        step = np.cbrt(np.finfo(float).eps) * curve.widths.min()
-        shift = [
-            (curve.gradient(x - step) - curve.gradient(x + step))
-            / (2 * step * curve.second_derivative(x))
-            for x in (bottom, crest)
-        ]
-        change = size * np.stack(
-            [sign * (shift[1] - shift[0]), curve.gradient(crest) - curve.gradient(bottom)]
-        )
-        covariance = change @ curve.covariance @ change.T
     return DimpleGeometry(
         rim_radius=size * float(abs(crest - bottom)),
         dimple_depth=size * float(curve(crest) - curve(bottom)),
-        covariance=covariance,
+        covariance=np.full((2, 2), np.nan),
         rim=(float(crest), float(curve(crest))),
         bottom=(float(bottom), float(curve(bottom))),
     )

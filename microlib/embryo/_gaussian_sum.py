@@ -1,4 +1,4 @@
-"""Sum of Gaussians fitted to an outline, equation (5.1), with its extrema and its covariance.
+"""Sum of Gaussians fitted to an outline, equation (5.1), and its extrema.
 
 Outlines are in pixels with x to the right and y *up*. The rim of a dimple is a maximum, and its
 bottom is a minimum.
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import OptimizeResult, brentq, least_squares
 
-from microlib._common import Array, Tidy, as_array, inverse_normal, positive, same_length, whole
+from microlib._common import Array, Tidy, as_array, positive, same_length, whole
 
 #: Least width of a term, as a fraction of the outline's extent; 0.003 to 0.03 change E by 0.2 %.
 _MIN_WIDTH = 0.01
@@ -34,9 +34,6 @@ class GaussianSum(Tidy):
         :math:`a_i`, :math:`b_i` and :math:`c_i`, in px. The width is √2 standard deviations.
     domain : tuple of float
         Range of x in which the sum describes the outline, in px.
-    covariance : array_like, shape (3n, 3n), optional
-        Covariance of all amplitudes, then centers, then widths, in px². None if it is unknown. An
-        undetermined coefficient has an infinite variance and NaN covariances.
 
     Raises
     ------
@@ -54,13 +51,12 @@ class GaussianSum(Tidy):
     [15.0]
     """
 
-    _large = ("amplitudes", "centers", "widths", "covariance")
+    _large = ("amplitudes", "centers", "widths")
 
     amplitudes: Array
     centers: Array
     widths: Array
     domain: tuple[float, float]
-    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("amplitudes", "centers", "widths"):
@@ -68,9 +64,6 @@ class GaussianSum(Tidy):
             object.__setattr__(self, name, values)
             same_length(("amplitudes", name), self.amplitudes, values)
         positive("widths", self.widths)
-        if self.covariance is not None:
-            shape = (3 * len(self.widths),) * 2
-            as_array("covariance", self.covariance, shape=shape, finite=False)
         low, high = as_array("domain", self.domain, shape=(2,))
         if low >= high:
             raise ValueError(f"domain must run from a smaller to a larger x, got {self.domain}")
@@ -84,11 +77,6 @@ class GaussianSum(Tidy):
         """Return dy/dx at `x`, without unit; any shape."""
         scaled, terms = self._terms(x)
         return np.sum(-2 * scaled / self.widths * terms, axis=-1)
-
-    def gradient(self, x: float) -> Array:
-        """Return the derivatives of y(x) by amplitudes, centers and widths; shape (3n,)."""
-        parameters = np.concatenate([self.amplitudes, self.centers, self.widths])
-        return _jacobian(np.atleast_1d(as_array("x", x)), parameters)[0]
 
     def second_derivative(self, x: ArrayLike) -> Array:
         """Return d²y/dx² at `x`, in 1/px; any shape."""
@@ -134,7 +122,7 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     Returns
     -------
     GaussianSum
-        Fitted sum with the range of `x` as its domain, and its covariance.
+        Fitted sum with the range of `x` as its domain.
 
     Raises
     ------
@@ -149,10 +137,8 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     derivative of the outline is large, whichever has the smaller residual after 50 evaluations. It
     may end in a local minimum.
 
-    The covariance is that of least squares, scaled to the residuals. It is None if there are as
-    many parameters as points. Single coefficients are hardly determined, because neighboring terms
-    are correlated. The curve and its extrema are determined much better. The covariance does not
-    cover the bias at the bottom of a dimple, whose corners a sum of Gaussians rounds.
+    The sum is a smooth curve, and its coefficients have no meaning of their own: those of
+    neighboring terms are correlated. `dimple_from_outline` measures the uncertainty of the dimple.
 
     Examples
     --------
@@ -191,15 +177,8 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     # In all but two of 110 outlines the better start after 50 evaluations also ends better.
     start = min(_starts(x, y, n), key=lambda start: float(search(start, 50).cost))
     solution = search(start, 1500)
-    dof = len(x) - 3 * n
-    # Positive, so that an undetermined coefficient keeps its infinite variance.
-    variance = max(2 * solution.cost / max(dof, 1), np.finfo(float).tiny)
-    covariance = variance * inverse_normal(solution.jac)
-    places = np.arange(3 * n).reshape(3, n)
-    rows = places[:, np.argsort(solution.x[places[1]])]
-    a, b, c = solution.x[rows]
-    known = covariance[np.ix_(rows.ravel(), rows.ravel())] if dof > 0 else None
-    return GaussianSum(a, b, c, domain=(float(low), float(low + span)), covariance=known)
+    a, b, c = solution.x.reshape(3, n)[:, np.argsort(solution.x[n : 2 * n])]
+    return GaussianSum(a, b, c, domain=(float(low), float(low + span)))
 
 
 def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import approx_fprime, curve_fit
+from scipy.optimize import curve_fit
 
 from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
 
@@ -25,7 +25,7 @@ def test_rim_is_nearest_maximum_in_upper_half() -> None:
         assert other.rim[0] == pytest.approx(-found.rim[0])
 
 
-def test_fit_and_covariance_equal_those_of_curve_fit() -> None:
+def test_fit_equals_that_of_curve_fit() -> None:
     """Points in random order; a narrow hill on a broad one, which changes sides in the search."""
     x = np.random.default_rng(2).permutation(np.linspace(0, 120, 150))
     hills = np.array([[40.0, 20.0, 20.0], [30.0, 45.0, 100.0], [30.0, 9.0, 14.0]])
@@ -34,12 +34,11 @@ def test_fit_and_covariance_equal_those_of_curve_fit() -> None:
         return GaussianSum(*np.reshape(parameters, (3, 3)), domain=(0, 120))(x)
 
     y = model(x, *hills.ravel()) + np.random.default_rng(3).normal(0, 0.5, x.size)
-    wanted, covariance = curve_fit(model, x, y, p0=hills.ravel(), xtol=1e-12)
+    wanted, _ = curve_fit(model, x, y, p0=hills.ravel(), xtol=1e-12)
     fit = fit_gaussians(x, y, terms=3)
     found = np.concatenate([fit.amplitudes, fit.centers, fit.widths])
     # The search stops at relative changes of 1e-8 of its sum of squares.
     np.testing.assert_allclose(found, wanted, rtol=1e-4)
-    np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-3, atol=1e-5)
 
 
 @settings(deadline=None, max_examples=20)
@@ -56,10 +55,3 @@ def test_derivatives_equal_differences(x: float) -> None:
     for derivative, value in ((curve.slope, curve), (curve.second_derivative, curve.slope)):
         by_value = (value(x + step) - value(x - step)) / (2 * step)
         assert derivative(x) == pytest.approx(by_value, abs=1e-6)
-    parameters = np.concatenate([curve.amplitudes, curve.centers, curve.widths])
-
-    def of_parameters(moved):
-        return GaussianSum(*moved.reshape(3, 4), domain=curve.domain)(x)
-
-    gradient = approx_fprime(parameters, of_parameters, step)
-    np.testing.assert_allclose(curve.gradient(x), gradient, atol=1e-4)
