@@ -5,7 +5,7 @@
   // Table 5.6, with half of the catalogue width of the probe.
   const INPUTS = [
     ["force", "Force F", "µN", 1, 500, 0.01, 197.24],
-    ["dimpleRadius", "Dimple radius a", "µm", 20, 600, 0.01, 246.95],
+    ["rimRadius", "Rim radius a", "µm", 20, 600, 0.01, 246.95],
     ["dimpleDepth", "Dimple depth w_d", "µm", 1, 300, 0.01, 121.22],
     ["probeHalfWidth", "Probe half-width c", "µm", 1, 100, 0.1, 25],
     ["thickness", "Membrane thickness h", "µm", 0.5, 10, 0.1, 3],
@@ -18,7 +18,7 @@
   }));
 
   const dimple = (width, p) => {
-    const reach = 1.2 * p.dimpleRadius;
+    const reach = 1.2 * p.rimRadius;
     const scale = width / (2 * reach);
     const rim = 62, deep = Math.min(p.dimpleDepth * scale, 2 * width);
     const height = rim + deep + 40;
@@ -27,7 +27,7 @@
       const r = reach * (k / 100 - 1);
       return `${toX(r).toFixed(1)} ${(rim + Math.min(dimpleProfile(Math.abs(r), p) * scale, deep)).toFixed(1)}`;
     });
-    const says = `The dimple in section, to scale: ${show(2 * p.dimpleRadius)} µm wide, ${show(p.dimpleDepth)} µm deep, ` +
+    const says = `The dimple in section, to scale: ${show(2 * p.rimRadius)} µm wide, ${show(p.dimpleDepth)} µm deep, ` +
       `under a probe of ${show(2 * p.probeHalfWidth)} µm`;
     const svg = draw("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": says });
     const probe = Math.max(2 * p.probeHalfWidth * scale, 1);
@@ -36,10 +36,10 @@
     svg.append(
       draw("rect", { class: "try-probe", x: width / 2 - probe / 2, y: 0, width: probe, height: rim + deep }),
       draw("path", { class: "try-line first", d: `M${points.join("L")}` }),
-      line(toX(0), rim + deep + 14, toX(p.dimpleRadius), rim + deep + 14),
-      text(`a = ${show(p.dimpleRadius)} µm`, toX(p.dimpleRadius / 2), rim + deep + 32, "middle"),
-      line(toX(-p.dimpleRadius), rim, toX(-p.dimpleRadius), rim + deep),
-      text(`w_d = ${show(p.dimpleDepth)} µm`, toX(-p.dimpleRadius) + 6, rim - 10, "start"),
+      line(toX(0), rim + deep + 14, toX(p.rimRadius), rim + deep + 14),
+      text(`a = ${show(p.rimRadius)} µm`, toX(p.rimRadius / 2), rim + deep + 32, "middle"),
+      line(toX(-p.rimRadius), rim, toX(-p.rimRadius), rim + deep),
+      text(`w_d = ${show(p.dimpleDepth)} µm`, toX(-p.rimRadius) + 6, rim - 10, "start"),
       text(`2c = ${show(2 * p.probeHalfWidth)} µm`, width / 2 + probe / 2 + 8, 16, "start"),
     );
     return svg;
@@ -61,11 +61,13 @@
     const stds = Object.fromEntries(LENGTHS.map(({ name }) => [name, (values[`${name}Std`] / 100) * p[name]]));
     const wrong = refusal(p);
     answer.replaceChildren(...(wrong ? [wrong] : say(p, stds)));
-    const steepness = p.dimpleDepth / p.dimpleRadius;
-    warning.hidden = Boolean(wrong) || !(steepness > STEEP);
-    warning.textContent =
-      `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is at least about 5 % too ` +
-      "low. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
+    const steepness = p.dimpleDepth / p.rimRadius;
+    const bends = p.dimpleDepth < 2 * p.thickness;
+    warning.hidden = Boolean(wrong) || !(bends || steepness > STEEP);
+    warning.textContent = bends
+      ? "The dimple is less deep than two thicknesses. The formula omits bending, so the modulus is too high."
+      : `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is at least about 5 % too ` +
+        "low. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
     picture.replaceChildren(...(wrong ? [] : [dimple(picture.clientWidth || 340, p)]));
   };
 

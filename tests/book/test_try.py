@@ -50,7 +50,7 @@ def draw_membranes() -> list[dict[str, float]]:
         "force": rng.uniform(1, 500, COUNT),
         "rim_radius": radius,
         "dimple_depth": radius * 10 ** rng.uniform(-2, 0, COUNT),
-        "thickness": rng.uniform(0.5, 10, COUNT),
+        "thickness": radius / 200 * rng.uniform(0.1, 1, COUNT),  # half the depth at most
         # From a needle to a probe that nearly fills the dimple, where the series takes over.
         "probe_half_width": radius * rng.uniform(0.005, 0.999, COUNT),
         "poisson_ratio": rng.uniform(-0.5, 0.5, COUNT),
@@ -59,7 +59,7 @@ def draw_membranes() -> list[dict[str, float]]:
 
 
 def in_page(values: dict[str, float]) -> dict[str, float]:
-    """Return values by the names that a script gives them, such as dimpleRadius."""
+    """Return values by the names that a script gives them, such as rimRadius."""
     return {re.sub("_(.)", lambda at: at[1].upper(), name): v for name, v in values.items()}
 
 
@@ -89,6 +89,10 @@ def test_browser_warning_and_refusal_equal_library(try_page: Page) -> None:
     assert "w_d/a = 0.4909" in tool.locator(".try-warning").inner_text()
     tool.get_by_label("Dimple depth w_d (µm), exact").fill("24")
     assert tool.locator(".try-warning").is_hidden()
+    tool.get_by_label("Dimple depth w_d (µm), exact").fill("5")
+    assert "two thicknesses" in tool.locator(".try-warning").inner_text()
+    tool.get_by_label("Dimple depth w_d (µm), exact").fill("2.9")
+    assert "as deep as the membrane is thick" in tool.locator(".try-answer").inner_text()
     tool.get_by_label("Probe half-width c (µm), exact").fill("300")
     assert "c must be below a" in tool.locator(".try-answer").inner_text()
 
