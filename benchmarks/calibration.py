@@ -1,7 +1,7 @@
-"""Detection against OpenCV, and the stated uncertainty of a calibration against its bound.
+"""Detection against OpenCV.
 
 Run ``python -m benchmarks calibration``; every number comes from a seed. Detection errors are per
-coordinate.
+coordinate. The page on identifiability compares the uncertainty of a calibration with its bound.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.report import Limits, Tables, paired_times, rms
-from compendium.experiments.identifiability import cramer_rao_bound
-from microlib.calibration import calibrate, detect_circles, detect_squares
+from microlib.calibration import detect_circles, detect_squares
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
@@ -34,7 +33,6 @@ LIMITS = {
 DARK, BRIGHT = 55.0, 195.0
 PITCH_PX = 30
 DEGREE = np.pi / 180
-POSE = ("distortion", "alpha", "beta", "gamma", "tx", "ty")
 
 
 def small_scene(
@@ -149,70 +147,6 @@ def localisation() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def tilted(degrees: float) -> tuple[Microscope, np.ndarray]:
-    f = 126150.0
-    scope = Microscope(
-        1.59 * f,
-        f,
-        f / 1.59,
-        -8.4e-10,
-        1.5,
-        0.8 * degrees * DEGREE,
-        0.6 * degrees * DEGREE,
-        -781,
-        -55,
-        pixel_pitch=9.9,
-        image_size=(656, 491),
-    )
-    index = np.arange(-40, 41)
-    world = 280.0 * np.stack(np.meshgrid(index, index), axis=-1).reshape(-1, 2)
-    seen = scope.project(world)
-    return scope, world[((seen > 5) & (seen < [650, 485])).all(axis=1)]
-
-
-def uncertainty(seeds: int = 180, noise: float = 0.02) -> pd.DataFrame:
-    """Focal length (unknown to all) and magnification (f known) over tilt: error, stated σ, bound,
-    coverage."""
-    rows = []
-    for degrees in (0, 1, 2, 5, 10, 20):
-        scope, world = tilted(degrees)
-        image = scope.project(world)
-        f = scope.focal_length
-        free = ("magnification", "focus", *POSE)
-        bound = cramer_rao_bound(scope, world, noise, free)[1] / f
-        held = ("magnification", *POSE)
-        bounds = cramer_rao_bound(scope, world, noise, held)
-        truth = np.array([getattr(scope, name) for name in held])
-        stated, f_inside, ratios, inside, unknown = [], [], [], [], 0
-        for seed in range(seeds):
-            rng = np.random.default_rng([seed, 4, degrees])
-            seen = image + rng.normal(0, noise, image.shape)
-            sensor = {"pixel_pitch": 9.9, "image_size": (656, 491)}
-            fit = calibrate(world, seen, **sensor)
-            unknown += "focal_length" in fit.undetermined
-            stated.append(fit.parameters["focal_length"].uncertainty / f)
-            low, high = fit.parameters["focal_length"].interval
-            f_inside.append(not low > f and not high < f)
-            fit = calibrate(world, seen, focal_length=f, **sensor)
-            every = [fit.parameters[name] for name in held]
-            ratios.append(np.array([each.uncertainty for each in every]) / bounds)
-            spans = [each.interval for each in every]
-            inside.append([low <= t <= high for (low, high), t in zip(spans, truth, strict=True)])
-        ratio = np.median(ratios, axis=0)
-        rows.append(
-            {
-                "tilt °": degrees,
-                "f: bound %": round(100 * float(bound), 3),
-                "f: our σ %, median": round(100 * float(np.median(stated)), 3),
-                "f: named undetermined %": round(100 * unknown / seeds, 1),
-                "f: our interval covers %": round(100 * float(np.mean(f_inside)), 1),
-                "f given: σ/bound, least to most": f"{ratio.min():.3f}–{ratio.max():.3f}",
-                "f given: intervals cover %": round(100 * float(np.mean(inside)), 1),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
 def times() -> pd.DataFrame:
     """Processor time of our detectors and their peers."""
     rng = np.random.default_rng(5)
@@ -249,19 +183,7 @@ def limits(tables: Tables) -> Limits:
         worst = (detection[ours] / detection[peer]).max()
         lines.append((f"{ours}: complete views minus those of {peer}, smallest", more, "≥", 0))
         lines.append((f"{ours}: error over the error of {peer}, largest", worst, "≤", 1))
-    tilts = tables["Uncertainty over tilt"]
-    tilted = tilts[tilts["tilt °"] > 0]
-    ratio = tilted["f: our σ %, median"] / tilted["f: bound %"]
-    hidden = tilts.loc[tilts["tilt °"] == 0, "f: named undetermined %"].min()
-    held = tilts["f given: intervals cover %"]
-    return [
-        *lines,
-        ("σ of f over the Cramér–Rao bound, least", ratio.min(), "≥", 0.75),
-        ("σ of f over the Cramér–Rao bound, greatest", ratio.max(), "≤", 1.25),
-        ("no tilt: views with f reported as undetermined, %", hidden, "≥", 100),
-        ("f given: 95 % intervals with the true value, least of the tilts, %", held.min(), "≥", 93),
-        ("f given: 95 % intervals with the true value, most of the tilts, %", held.max(), "≤", 97),
-    ]
+    return lines
 
 
 NOTE = """\
@@ -271,18 +193,14 @@ Detection errors are given per coordinate. The contrast of the marks is 140 grey
   by a fifth across the image.
 - *Complete* counts the views in which all points are found within 1 px. The errors are the errors
   in these views.
-- The coverage is the share of intervals that contain the true value. From n seeds and seven
-  parameters with nearly independent errors, the coverage is known to √(0.05 · 0.95/7n), which is
-  0.61 % for one tilt.
 - All squares of an image share an error in size, whose variance is a fifth of the variance of a
-  corner. The intervals include the error that the corners of one square share.
+  corner.
 """
 
 
 def main() -> tuple[Tables, Limits]:
     tables = {
         "Localisation, RMS px": localisation(),
-        "Uncertainty over tilt": uncertainty(),
         "Time": times(),
     }
     return tables, limits(tables)
