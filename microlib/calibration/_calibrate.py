@@ -18,7 +18,7 @@ from microlib._common import Array, scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._fit import LENS, POSE, Fit, Photographs, fit_views
-from microlib.calibration._points import Correspondences, correspondences
+from microlib.calibration._points import photographs_of
 from microlib.calibration._uncertainty import (
     KILOMETER,
     noise_covariance,
@@ -102,11 +102,11 @@ def calibrate(
     standard deviations above zero, the attribute `undetermined` of the result lists f and the
     angles of the tilt.
 
-    *Without the pixel pitch* an image does not determine the magnification M, the focal length
-    f = (T_op + f)/(1 + M) and T_op. It determines the scale in px/µm, which is M over the pixel
-    pitch, and the principal distance T_op + f in px, which OpenCV calls the focal length. These
-    parameters are named "px_per_um" and "principal_distance"; they replace "magnification" and
-    "focal_length". κ is in 1/px² then, and κ₂ in 1/px⁴.
+    *Without the pixel pitch* an image determines neither the magnification M nor the focal length.
+    It determines M over the pixel pitch, which is the scale in px/µm, and the principal distance
+    T_op + f in px, which OpenCV calls the focal length. These parameters are named "px_per_um" and
+    "principal_distance"; they replace "magnification" and "focal_length". κ is in 1/px² then, and
+    κ₂ in 1/px⁴.
 
     *Uncertainty.* The covariance includes the image noise. It also includes the correlation of the
     errors of points that belong to one mark, such as the corners of a square. With several views it
@@ -134,7 +134,7 @@ def calibrate(
     Examples
     --------
     >>> from microlib.calibration import calibrate, detect_circles
-    >>> from microlib.microscope import Microscope, pitch_pair
+    >>> from microlib.microscope import Microscope
     >>> from microlib.synthetic import render_circles
     >>> truth = Microscope(2e5, 126000, 79380, alpha=0.1, beta=0.03, tx=-900, ty=-700,
     ...                    pixel_pitch=9.9, image_size=(656, 491))
@@ -148,25 +148,27 @@ def calibrate(
         focal_length = scalar("focal_length", focal_length, above=0)
         if pixel_pitch is None:
             raise ValueError("pixel_pitch must be given with focal_length, µm, got none")
-    sensor_pitch = pitch_pair(1.0 if pixel_pitch is None else pixel_pitch)
-    points = correspondences(world, image, pitch, image_size)
-    images: list[Array] = [each - points.middle for each in points.image]
-    views = Photographs(points.world, images, sensor_pitch, focal_length)
+    camera = {
+        "pixel_pitch": pitch_pair(1.0 if pixel_pitch is None else pixel_pitch),
+        "focal_length": focal_length,
+    }
+    views = photographs_of(world, image, pitch, image_size, **camera)
     fit, alone = fit_views(views)
     fit = add_lens_terms(views, fit)
     # Wrong units lead to a magnification below zero, or to residuals as large as the image.
-    largest = max(points.image_size) / 20
+    largest = max(views.image_size) / 20
     if not (fit.poses[:, 0] > 0).all() or np.sqrt(views.residual_variance(fit)) > largest:
         raise views.refusal
-    return _build_result(points, views, fit, alone, pixel_pitch is not None)
+    return _build_result(views, fit, alone, pixel_pitch is not None)
 
 
-def _mark_numbers(views: Photographs, fit: Fit, marks: Array | None) -> NDArray[np.intp] | None:
+def _mark_numbers(views: Photographs, fit: Fit) -> NDArray[np.intp] | None:
     """Number of the mark of each point, None if all points are independent.
 
     Points of several views belong to one mark if they have one place in the pattern. With no more
     marks than parameters, the scatter of the marks gives no covariance.
     """
+    marks = views.marks
     if marks is None and len(views.world) > 1:
         marks = np.round(np.concatenate(views.world), 6)
     if marks is None:
@@ -175,18 +177,12 @@ def _mark_numbers(views: Photographs, fit: Fit, marks: Array | None) -> NDArray[
     return numbers if numbers.max() >= len(fit.free) else None
 
 
-def _build_result(
-    points: Correspondences,
-    views: Photographs,
-    fit: Fit,
-    alone: list[list[Fit]],
-    in_um: bool,
-) -> Calibration:
+def _build_result(views: Photographs, fit: Fit, alone: list[list[Fit]], in_um: bool) -> Calibration:
     """Estimates with their covariance, the undetermined ones, and a microscope for each view.
 
     `in_um` states whether the pixel pitch is known, and with it lengths on the sensor in µm.
     """
-    marks = _mark_numbers(views, fit, points.marks)
+    marks = _mark_numbers(views, fit)
     test = check_fit(views, fit, marks)
     inner = noise_covariance(views, fit, marks) + test.covariance
     undetermined = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.residual_variance(fit))
@@ -199,8 +195,8 @@ def _build_result(
     covariance[undetermined, undetermined] = np.inf
     dof = fit.dof if marks is None else int(marks.max())
     std = np.sqrt(np.diag(covariance)).tolist()
-    scopes = [_microscope(points, views, fit.lens, pose) for pose in fit.poses]
-    pairs = list(zip(scopes, points.world, points.image, strict=True))
+    scopes = [_microscope(views, fit.lens, pose) for pose in fit.poses]
+    pairs = list(zip(scopes, views.world, views.image, strict=True))
     return Calibration(
         microscope=scopes[0],
         parameters={
@@ -248,9 +244,7 @@ def _estimate(name: str, value: float, std: float, dof: int, in_um: bool) -> Est
     return Estimate(value, std, max(value - half, least), value + half, unit)
 
 
-def _microscope(
-    points: Correspondences, views: Photographs, lens: Array, pose: Array
-) -> Microscope:
+def _microscope(views: Photographs, lens: Array, pose: Array) -> Microscope:
     """The microscope of a view, in focus."""
     view = dict(zip((*LENS, *POSE), (*lens.tolist(), *pose.tolist()), strict=True))
     magnification, inverse_principal = view.pop("magnification"), view.pop("inverse_principal")
@@ -260,8 +254,8 @@ def _microscope(
         focal_length=f,
         distance=f / magnification,
         principal_offset=(view.pop("principal_x"), view.pop("principal_y")),
-        pixel_pitch=tuple(views.pitch.tolist()),
-        image_size=points.image_size,
+        pixel_pitch=tuple(views.pixel_pitch.tolist()),
+        image_size=views.image_size,
         **view,
     )
 

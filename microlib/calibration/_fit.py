@@ -32,25 +32,36 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Photographs:
-    """Corresponding points of the pattern and of its images.
+    """Corresponding points of the pattern and of its images, and what is known of the camera.
 
     Parameters
     ----------
     world : list of ndarray, shape (N_v, 2)
         Points of the pattern in each view, µm.
     image : list of ndarray, shape (N_v, 2)
-        Their images, px from the middle of the image.
-    pitch : ndarray, shape (2,)
-        Pixel pitch of the sensor, µm; (1, 1) if it is not known, and lengths on the sensor are then
+        Their images (x, y), px.
+    image_size : (int, int)
+        Width and height of the images, px.
+    pixel_pitch : ndarray, shape (2,)
+        That of the sensor, µm; (1, 1) if it is not known, and lengths on the sensor are then
         in px.
     focal_length : float or None
         Focal length, µm, if it is given.
+    marks : ndarray, shape (N, 2), or None
+        Grid coordinates of the mark of each point of all views, if marks have several points.
     """
 
     world: list[Array]
     image: list[Array]
-    pitch: Array
+    image_size: tuple[int, int]
+    pixel_pitch: Array
     focal_length: float | None
+    marks: Array | None = None
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the images, (x, y) px."""
+        return (np.asarray(self.image_size) - 1) / 2
 
     @property
     def refusal(self) -> ValueError:
@@ -68,12 +79,13 @@ class Photographs:
     def subset(self, which: ArrayLike) -> Photographs:
         """The views with the given indices."""
         world, image = ([each[v] for v in np.asarray(which)] for each in (self.world, self.image))
-        return replace(self, world=world, image=image)
+        return replace(self, world=world, image=image, marks=None)
 
     def rounding_variance(self, poses: Array) -> float:
         """Variance of a coordinate by rounding alone, px²: a floor for every stated variance."""
         scaled = [
-            pose[0] * world / self.pitch for pose, world in zip(poses, self.world, strict=True)
+            pose[0] * world / self.pixel_pitch
+            for pose, world in zip(poses, self.world, strict=True)
         ]
         return float((_ROUNDING * max(np.abs(at).max() for at in (*scaled, *self.image))) ** 2)
 
@@ -108,10 +120,11 @@ class Photographs:
             h_by_inverse_principal = 0.0
             h_by_magnification = inverse_principal / (1 + magnification)
         view["convergence"] = magnification * inverse_principal
-        points, by = project_points(world, self.pitch, view, derivatives=True)
+        points, by = project_points(world, self.pixel_pitch, view, derivatives=True)
         by["inverse_principal"] = by["convergence"] * h_by_inverse_principal
         by["magnification"] = by["magnification"] + by["convergence"] * h_by_magnification
-        return points.T, np.array([by[name] for name in (*LENS, *POSE)]).transpose(2, 1, 0)
+        jacobian = np.array([by[name] for name in (*LENS, *POSE)]).transpose(2, 1, 0)
+        return points.T + self.middle, jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +247,7 @@ def least_squares_fit(
 
 def _starts(one: Photographs) -> list[tuple[Array, Array]]:
     """Lens and pose of one view in closed form, for each sign of the tilt."""
-    world, sensor = one.world[0], one.image[0] * one.pitch
+    world, sensor = one.world[0], (one.image[0] - one.middle) * one.pixel_pitch
     alpha, beta, gamma, tx, ty = radial_alignment(world, sensor)
     starts = []
     for sign in (1, -1):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from microlib._common import Array, as_array, same_length, scalar
 from microlib.calibration._detection import Detection
+from microlib.calibration._fit import Photographs
 from microlib.microscope import whole_size
 
 #: Points whose extent in one direction is below this part of the other lie on one line.
@@ -32,37 +32,10 @@ def plane_points(least: int, **named: ArrayLike) -> list[Array]:
     return pairs
 
 
-@dataclass(frozen=True, eq=False)
-class Correspondences:
-    """Points of the pattern and of its images, of each view.
-
-    Parameters
-    ----------
-    world : list of ndarray, shape (N_v, 2)
-        Points of the pattern, µm.
-    image : list of ndarray, shape (N_v, 2)
-        Image points (x, y), px.
-    image_size : (int, int)
-        Width and height of the images, px.
-    marks : ndarray, shape (N, 2), or None
-        Grid coordinates of the mark of each point of all views, if marks have several points.
-    """
-
-    world: list[Array]
-    image: list[Array]
-    image_size: tuple[int, int]
-    marks: Array | None
-
-    @property
-    def middle(self) -> Array:
-        """Middle of the images, (x, y) px."""
-        return (np.asarray(self.image_size) - 1) / 2
-
-
-def correspondences(
-    world: Any, image: Any, pitch: float | None, image_size: Any
-) -> Correspondences:
-    """Points of each view from the arguments of `calibrate`."""
+def photographs_of(
+    world: Any, image: Any, pitch: float | None, image_size: Any, **camera: Any
+) -> Photographs:
+    """Points of each view, from the arguments of `calibrate`; `camera` has its other fields."""
     several = isinstance(world, (list, tuple)) and (
         isinstance(world[0], Detection) or np.ndim(world[0]) > 1
     )
@@ -73,15 +46,17 @@ def correspondences(
             raise ValueError("pitch must be left out with points in µm, got one")
         if several and (not isinstance(image, (list, tuple)) or len(image) != len(views)):
             raise ValueError(f"image must hold one array for each of the {len(views)} views")
-        return _of_points(views, list(image) if several else [image], image_size)
+        return _of_points(views, list(image) if several else [image], image_size, camera)
     if image is not None or image_size is not None:
         raise ValueError("image and image_size must not be given with a detection")
     if len(detections) < len(views):
         raise ValueError("world must hold either detections or points, got both")
-    return _of_detections(detections, pitch)
+    return _of_detections(detections, pitch, camera)
 
 
-def _of_points(worlds: list[Any], images: list[Any], image_size: Any) -> Correspondences:
+def _of_points(
+    worlds: list[Any], images: list[Any], image_size: Any, camera: dict[str, Any]
+) -> Photographs:
     if image_size is None:
         raise ValueError("image_size must be given, (width, height) in px, got none")
     size = whole_size(image_size)
@@ -95,18 +70,20 @@ def _of_points(worlds: list[Any], images: list[Any], image_size: Any) -> Corresp
                 f"{int(outside.sum())} of {len(points)} points beyond it, one at "
                 f"{points[outside][0]}"
             )
-    return Correspondences([w for w, _ in pairs], [i for _, i in pairs], size, None)
+    return Photographs([w for w, _ in pairs], [i for _, i in pairs], size, **camera)
 
 
-def _of_detections(detections: list[Detection], pitch: float | None) -> Correspondences:
+def _of_detections(
+    detections: list[Detection], pitch: float | None, camera: dict[str, Any]
+) -> Photographs:
     if pitch is None:
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
     pitch = scalar("pitch", pitch, above=0)
     size = detections[0].image_size
     if any(each.image_size != size for each in detections):
         raise ValueError("world must hold detections in images of one size, got several")
-    worlds = [pitch * each.positions for each in detections]
-    points = _of_points(worlds, [each.points for each in detections], size)
     squares = any(len(np.unique(each.group)) < len(each.group) for each in detections)
-    marks = np.concatenate([each.grid // 2 for each in detections]) if squares else None
-    return replace(points, marks=marks)
+    if squares:
+        camera = camera | {"marks": np.concatenate([each.grid // 2 for each in detections])}
+    worlds = [pitch * each.positions for each in detections]
+    return _of_points(worlds, [each.points for each in detections], size, camera)
