@@ -15,7 +15,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import ROOT
-from microlib._common import Tidy
+from microlib._common import FlatResult
 from microlib.embryo import modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
@@ -254,12 +254,12 @@ def compare(
     return table
 
 
-def modulus_of(path: Path, *, force: float, **settings: Any) -> Tidy:
+def modulus_of(path: Path, *, force: float, **settings: Any) -> FlatResult:
     """Return the modulus of the embryo in an image file, as `microlib.embryo.modulus_from_image`
     does; here, where processes of their own can find it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
-        found: Tidy = modulus_from_image(read_grey(path), force, **settings)
+        found: FlatResult = modulus_from_image(read_grey(path), force, **settings)
     return found
 
 

@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, Array, Result, as_array, as_map, positive, scalar, whole
+from microlib._common import (
+    MICROMETERS,
+    Array,
+    Result,
+    as_array,
+    as_integer,
+    as_map,
+    as_positive,
+    as_scalar,
+)
 from microlib._common._opencv import cv2
 
 if TYPE_CHECKING:
@@ -121,7 +130,7 @@ def curvature_windows(size: int = 7) -> Windows:
     >>> (42 * windows.second_derivative).round().astype(int).tolist()
     [5, 0, -3, -4, -3, 0, 5]
     """
-    n = whole("size", size, least=3, odd=True)
+    n = as_integer("size", size, least=3, odd=True)
     t = np.arange(n, dtype=np.float64) - n // 2
     quadratic = t**2 - np.mean(t**2)
     return Windows(
@@ -205,16 +214,16 @@ def surface_curvature(
     >>> round(float(ball.mean[20, 20]), 4), round(float(ball.gaussian[20, 20]), 6)
     (-0.01, 0.0001)
     """
-    n = whole("size", size, least=3, odd=True)
+    n = as_integer("size", size, least=3, odd=True)
     unit = getattr(height, "attrs", {}).get("units") or "µm"  # of an xarray.DataArray
     if MICROMETERS.get(str(unit)) != 1:
         raise ValueError(f"height must be in µm, got {unit}")
     z = as_map("height", height)
-    pitches = positive("pixel_size", pixel_size)
+    pitches = as_positive("pixel_size", pixel_size)
     if pitches.shape not in ((), (2,)):
         raise ValueError(f"pixel_size must be a number or (x, y), got shape {pitches.shape}")
     pitches = np.broadcast_to(pitches, 2)
-    noise_std = np.nan if noise is None else scalar("noise", noise, least=0)
+    noise_std = np.nan if noise is None else as_scalar("noise", noise, least=0)
     if min(z.shape) < 2 * n - 1:
         raise ValueError(f"height must be at least {2 * n - 1} px on each side, got {z.shape}")
 
@@ -439,7 +448,7 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
     from skimage.segmentation import expand_labels  # here, because it takes long to import
 
     types, regions = _regions(labels)
-    least = whole("smallest", smallest, least=1)
+    least = as_integer("smallest", smallest, least=1)
     kept = np.where(np.bincount(regions.ravel())[regions] >= least, types, 0)
     if not kept.any():
         return types

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microlib._common import Tidy
+from microlib._common import FlatResult
 
 __all__ = ["Estimate"]
 
 
 @dataclass(frozen=True, repr=False)
-class Estimate(Tidy):
+class Estimate(FlatResult):
     """A measured quantity with its standard uncertainty and its 95 % interval.
 
     Attributes

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, Tidy, as_array, positive, scalar
+from microlib._common import Array, FlatResult, as_array, as_positive, as_scalar
 
 __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
@@ -46,7 +46,7 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     """
     return _rotation(
         *(
-            scalar(name, angle)
+            as_scalar(name, angle)
             for name, angle in (("alpha", alpha), ("beta", beta), ("gamma", gamma))
         )
     )
@@ -74,13 +74,13 @@ def _sensor_points(points: ArrayLike) -> Array:
 
 def pitch_pair(pixel_pitch: ArrayLike) -> Array:
     """Pixel pitch along x and y, shape (2,), checked."""
-    pitch = positive("pixel_pitch", pixel_pitch)
+    pitch = as_positive("pixel_pitch", pixel_pitch)
     return as_array("pixel_pitch", np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
 
 
 def whole_size(image_size: Any) -> tuple[int, int]:
     """Width and height of an image, px, checked."""
-    size = positive("image_size", as_array("image_size", image_size, shape=(2,)))
+    size = as_positive("image_size", as_array("image_size", image_size, shape=(2,)))
     if (size != np.round(size)).any():
         raise ValueError(f"image_size must be whole numbers of pixels, got {image_size}")
     width, height = map(int, size)
@@ -153,7 +153,7 @@ def undistort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) 
     distort : the inverse.
     """
     points = _sensor_points(points)
-    coefficients = scalar("distortion", distortion), scalar("distortion_k2", distortion_k2)
+    coefficients = as_scalar("distortion", distortion), as_scalar("distortion_k2", distortion_k2)
     radius = np.hypot(points[..., 0], points[..., 1])
     factor, _ = _radial(radius, coefficients)
     return points * np.where(radius > _fold(coefficients), np.nan, factor)[..., np.newaxis]
@@ -191,7 +191,7 @@ def distort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) ->
     True
     """
     points = _sensor_points(points)
-    coefficients = scalar("distortion", distortion), scalar("distortion_k2", distortion_k2)
+    coefficients = as_scalar("distortion", distortion), as_scalar("distortion_k2", distortion_k2)
     factor, _ = _radial_at(np.hypot(points[..., 0], points[..., 1]), coefficients)
     return points / factor[..., np.newaxis]
 
@@ -275,7 +275,7 @@ def project_points(
 
 
 @dataclass(frozen=True)
-class Microscope(Tidy):
+class Microscope(FlatResult):
     """An optical microscope with its camera, looking at a pattern plane (2.5–2.12).
 
     Parameters
@@ -349,9 +349,9 @@ class Microscope(Tidy):
 
     def __post_init__(self) -> None:
         for name in ("tube_length", "focal_length", "distance"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name), above=0))
         for name in ("distortion", "distortion_k2", "alpha", "beta", "gamma", "tx", "ty"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name)))
         object.__setattr__(self, "pixel_pitch", tuple(pitch_pair(self.pixel_pitch).tolist()))
         object.__setattr__(self, "image_size", whole_size(self.image_size))
         offset = as_array("principal_offset", self.principal_offset, shape=(2,))

@@ -9,7 +9,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, as_image, positive, scalar, whole
+from microlib._common import (
+    Array,
+    as_array,
+    as_image,
+    as_integer,
+    as_non_negative,
+    as_positive,
+    as_scalar,
+)
 from microlib._common._opencv import cv2
 
 __all__ = [
@@ -69,8 +77,8 @@ def image_distance(object_distance: ArrayLike, focal_length: float) -> Array:
 
 def _conjugate(name: str, distance: ArrayLike, focal_length: float) -> Array:
     """Return the distance on the lens' other side that is in focus with that of the given name."""
-    given = positive(name, distance)
-    f = scalar("focal_length", focal_length, above=0)
+    given = as_positive(name, distance)
+    f = as_scalar("focal_length", focal_length, above=0)
     if (given <= f).any():
         raise ValueError(f"{name} must exceed the focal length of {f:g}, got {given.min():g}")
     return np.asarray(given * f / (given - f))
@@ -120,8 +128,8 @@ def blur_radius(
     >>> blur_radius([200.0, 300.0, 600.0], **lens)
     array([ 5.,  0., -5.])
     """
-    distance = positive("object_distance", object_distance)
-    radius = scalar("aperture_radius", aperture_radius, above=0)
+    distance = as_positive("object_distance", object_distance)
+    radius = as_scalar("aperture_radius", aperture_radius, above=0)
     focused = float(_conjugate("sensor_distance", sensor_distance, focal_length))
     return np.asarray(radius * float(sensor_distance) * (1.0 / distance - 1.0 / focused))
 
@@ -160,8 +168,8 @@ def gaussian_kernel(sigma: float, size: int) -> Array:
            [0.1238, 0.2042, 0.1238],
            [0.0751, 0.1238, 0.0751]])
     """
-    s = scalar("sigma", sigma, above=0)
-    n = whole("size", size, least=1, odd=True)
+    s = as_scalar("sigma", sigma, above=0)
+    n = as_integer("size", size, least=1, odd=True)
     t = np.arange(n) - n // 2
     profile = np.exp(-(t**2) / (2 * s**2))
     kernel = np.outer(profile, profile)
@@ -194,7 +202,7 @@ def gaussian_transfer(u: ArrayLike, v: ArrayLike, sigma: float) -> Array:
     >>> gaussian_transfer([0.0, 1.0], 0.0, 1.0).round(4)
     array([1.    , 0.6065])
     """
-    s = scalar("sigma", sigma, least=0)
+    s = as_scalar("sigma", sigma, least=0)
     return np.exp(-(as_array("u", u) ** 2 + as_array("v", v) ** 2) * s**2 / 2)
 
 
@@ -246,7 +254,7 @@ class BlurLadder:
 
     def __init__(self, image: ArrayLike, largest: float) -> None:
         focused = as_image("image", image)
-        self.largest = scalar("largest", largest, least=0)
+        self.largest = as_scalar("largest", largest, least=0)
         span = np.log(max(self.largest, _FIRST_LEVEL) / _FIRST_LEVEL) / np.log(_LEVEL_RATIO)
         levels = _FIRST_LEVEL * _LEVEL_RATIO ** np.arange(int(np.ceil(span)) + 3)
         self._levels = np.concatenate([[0.0], levels])
@@ -255,7 +263,7 @@ class BlurLadder:
     def at(self, sigma: ArrayLike) -> NDArray[np.float32]:
         """Return the image blurred by `sigma`, px, one number or one for every pixel."""
         shape = self._images.shape[1:]
-        blur = positive("sigma", sigma, zero=True)
+        blur = as_non_negative("sigma", sigma)
         if blur.shape not in ((), shape):
             raise ValueError(
                 f"sigma must be one number or have the image's shape {shape}, got {blur.shape}"
@@ -315,7 +323,7 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     >>> [round(float(blurred[4, x]), 3) for x in (3, 5)]
     [0.097, 0.035]
     """
-    blur = positive("sigma", sigma, zero=True)
+    blur = as_non_negative("sigma", sigma)
     if blur.ndim == 0:
         return _blurred(as_image("image", image), float(blur)).copy()
     return BlurLadder(image, float(blur.max())).at(blur)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from microlib._command._session import Session, option
-from microlib._common import MEASURED, scalar
+from microlib._common import PHYSICAL_RANGES, as_scalar
 
 if TYPE_CHECKING:
     from microlib.io import Stack
@@ -70,9 +70,9 @@ def resolve_scales(
         raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
     for name, value in scales.items():
         unit = _SCALES[name][0]
-        scalar(name, value, above=None if name in _SIGNED else 0)
+        as_scalar(name, value, above=None if name in _SIGNED else 0)
         session.say(f"{name} {value:g} {unit} ({'given' if name in given else 'the file'})")
-        low, high = MEASURED.get(unit, (0, 1))
+        low, high = PHYSICAL_RANGES.get(unit, (0, 1))
         if not low <= abs(value) <= high:
             session.note(
                 f"{option(name)} {value:g} is unusual under a microscope, expected {low:g} to "

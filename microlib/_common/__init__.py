@@ -3,18 +3,19 @@
 from microlib._common._checks import (
     ArgumentError,
     as_array,
+    as_choice,
+    as_generator,
+    as_integer,
     as_map,
-    generator,
-    items,
-    one_of,
-    positive,
+    as_non_negative,
+    as_positive,
+    as_scalar,
+    as_tuple,
+    check_same_length,
     reject_masks,
-    same_length,
-    scalar,
-    whole,
 )
 from microlib._common._files import SOFTWARE, home_path, replace_file
-from microlib._common._images import as_image, as_region, image_shape, luminance
+from microlib._common._images import as_image, as_image_shape, as_region, luminance
 from microlib._common._least_squares import (
     MAD_TO_STD,
     TUKEY_LIMIT,
@@ -26,6 +27,6 @@ from microlib._common._least_squares import (
     tukey_weights,
 )
 from microlib._common._noise import image_noise, saturation_level
-from microlib._common._quantities import MEASURED, MICROMETERS, measured, poisson
-from microlib._common._results import Result, Tidy, flat_row
+from microlib._common._quantities import MICROMETERS, PHYSICAL_RANGES, as_physical, as_poisson_ratio
+from microlib._common._results import FlatResult, Result, flat_row
 from microlib._common._types import Array, Frames, Image, Region

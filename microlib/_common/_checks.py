@@ -114,7 +114,7 @@ def reject_masks(name: str, value: object) -> None:
         )
 
 
-def scalar(name: str, value: object, **bounds: float | None) -> float:
+def as_scalar(name: str, value: object, **bounds: float | None) -> float:
     """Return one finite number within `bounds`."""
     if isinstance(value, (bool, np.bool_, Sequence)) or getattr(value, "ndim", None):
         raise ArgumentError(name, f"must be a single number, got {value!r:.80}")
@@ -124,12 +124,17 @@ def scalar(name: str, value: object, **bounds: float | None) -> float:
     return value
 
 
-def positive(name: str, value: ArrayLike, *, zero: bool = False) -> Array:
-    """Return `value` as float64 with every element above zero, or at least zero if `zero`."""
-    return as_array(name, value, above=None if zero else 0, least=0)
+def as_positive(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, every element above zero."""
+    return as_array(name, value, above=0)
 
 
-def whole(
+def as_non_negative(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, every element zero or more."""
+    return as_array(name, value, least=0)
+
+
+def as_integer(
     name: str, value: object, *, least: int, odd: bool = False, most: int | None = None
 ) -> int:
     """Return `value` as an int of at least `least` and at most `most`; odd if `odd`."""
@@ -142,14 +147,14 @@ def whole(
     return number
 
 
-def generator(name: str, value: object) -> np.random.Generator:
+def as_generator(name: str, value: object) -> np.random.Generator:
     """Return a random generator, given as such or by its seed."""
     if isinstance(value, np.random.Generator):
         return value
-    return np.random.default_rng(whole(name, value, least=0))
+    return np.random.default_rng(as_integer(name, value, least=0))
 
 
-def items(name: str, value: object, count: int) -> tuple[object, ...]:
+def as_tuple(name: str, value: object, count: int) -> tuple[object, ...]:
     """Return the `count` items of a sequence or one-dimensional array."""
     reject_masks(name, value)
     sequence = isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (str, bytes))
@@ -158,14 +163,14 @@ def items(name: str, value: object, count: int) -> tuple[object, ...]:
     return tuple(value)  # type: ignore[arg-type]
 
 
-def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
+def as_choice(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value` if it is one of the `known` names."""
     if not isinstance(value, str) or value not in known:
         raise ArgumentError(name, f"must be one of {', '.join(known)}, got {value!r:.80}")
     return value
 
 
-def same_length(names: tuple[str, ...], first: NDArray, second: NDArray) -> None:
+def check_same_length(names: tuple[str, ...], first: NDArray, second: NDArray) -> None:
     """Raise for two arrays whose first axes differ in length."""
     if len(first) != len(second):
         problem = f"and {names[1]} must have the same length, got {len(first)} and {len(second)}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common._checks import ArgumentError, as_array, items, whole
+from microlib._common._checks import ArgumentError, as_array, as_integer, as_tuple
 from microlib._common._types import Region
 
 
@@ -34,16 +34,16 @@ def as_region(
     name: str, value: object, shape: tuple[int, ...] | None = None, *, least: int = 1
 ) -> Region:
     """Return (x, y, width, height) of a part, each side at least `least` px, of an image."""
-    four = items(f"{name} (x, y, width, height)", value, 4)
+    four = as_tuple(f"{name} (x, y, width, height)", value, 4)
     sides = zip(("x", "y", "width", "height"), four, (0, 0, least, least), strict=True)
-    x, y, width, height = (whole(f"{name} {side}", n, least=low) for side, n, low in sides)
+    x, y, width, height = (as_integer(f"{name} {side}", n, least=low) for side, n, low in sides)
     if shape is not None and (y + height > shape[0] or x + width > shape[1]):
         size = f"{shape[1]}×{shape[0]} px"
         raise ArgumentError(name, f"must lie in the image of {size}, got {four}")
     return x, y, width, height
 
 
-def image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
+def as_image_shape(name: str, value: object, *, least: int = 1) -> tuple[int, int]:
     """Return (rows, columns), each at least `least`."""
-    rows, columns = (whole(name, n, least=least) for n in items(name, value, 2))
+    rows, columns = (as_integer(name, n, least=least) for n in as_tuple(name, value, 2))
     return rows, columns

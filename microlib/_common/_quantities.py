@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from microlib._common._checks import ArgumentError, scalar
+from microlib._common._checks import ArgumentError, as_scalar
 
 #: Units of length in OME and ImageJ metadata, in µm: not "pixel", and not "inch", the unit of a
 #: printer's resolution.
@@ -15,7 +15,7 @@ MICROMETERS = {
     **dict.fromkeys(("m", "meter", "metre"), 1e6),
 }
 #: Ranges of quantities under a light microscope, wide enough that only a wrong unit is outside.
-MEASURED = {
+PHYSICAL_RANGES = {
     "µN": (1e-3, 1e6),
     "µm": (5e-3, 1e6),
     "µm/px": (0.02, 100.0),
@@ -23,19 +23,19 @@ MEASURED = {
 }
 
 
-def measured(name: str, value: object, unit: str) -> float:
+def as_physical(name: str, value: object, unit: str) -> float:
     """Return a force, a length or a modulus in `unit`; raise outside the range of experiments.
 
     A force of 150e-6, which is in N, is rejected as a force in µN.
     """
-    number = scalar(name, value, above=0)
-    low, high = MEASURED[unit]
+    number = as_scalar(name, value, above=0)
+    low, high = PHYSICAL_RANGES[unit]
     if not low <= number <= high:
         need = f"must be in {unit}, between {low:g} and {high:g} in any experiment"
         raise ArgumentError(name, f"{need}, got {number:g}")
     return number
 
 
-def poisson(ratio: object) -> float:
+def as_poisson_ratio(ratio: object) -> float:
     """Return the Poisson ratio of an isotropic material."""
-    return scalar("poisson_ratio", ratio, above=-1, most=0.5)
+    return as_scalar("poisson_ratio", ratio, above=-1, most=0.5)

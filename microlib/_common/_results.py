@@ -42,7 +42,7 @@ def _short(value: Any) -> str:
     return type(value).__name__ if is_dataclass(value) else f"{value!r:.60}"
 
 
-class Tidy(Result):
+class FlatResult(Result):
     """Give a frozen dataclass a flat row and a short `repr`."""
 
     #: Fields that `to_dict` leaves out: arrays with one number per sample or pixel, and objects.
@@ -71,12 +71,12 @@ def flat_row(
     parts: Mapping[str, tuple[tuple[str, ...], ...]] | None = None,
     prefix: str = "",
 ) -> dict[str, Any]:
-    """Return values as `Tidy.to_dict` does."""
+    """Return values as `FlatResult.to_dict` does."""
     row: dict[str, Any] = {}
     for name, value in values.items():
         # The field rim_radius of a dimple is not named dimple_rim_radius.
         known = name if prefix and name.startswith(prefix) else prefix + name
-        if isinstance(value, Tidy):
+        if isinstance(value, FlatResult):
             value = value.to_dict()
         if isinstance(value, Mapping):
             row |= flat_row(value, prefix=f"{known}_")

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, scalar
+from microlib._common import Array, as_scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._fit import LENS, POSE, Fit, Photographs, fit_views
@@ -145,7 +145,7 @@ def calibrate(
     (1.587, 0.03)
     """
     if focal_length is not None:
-        focal_length = scalar("focal_length", focal_length, above=0)
+        focal_length = as_scalar("focal_length", focal_length, above=0)
         if pixel_pitch is None:
             raise ValueError("pixel_pitch must be given with focal_length, µm, got none")
     camera = {

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from microlib._common import Array, as_array, same_length
+from microlib._common import Array, as_array, check_same_length
 
 #: Singular values below this part of the largest are rounding errors: the points then do not
 #: determine a pose, or their depths do not determine 1/T_z.
@@ -58,7 +58,7 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     """
     world = as_array("world", world, shape=(None, 2))
     sensor = as_array("sensor", sensor, shape=(None, 2))
-    same_length(("world", "sensor"), world, sensor)
+    check_same_length(("world", "sensor"), world, sensor)
     center = world.mean(axis=0)
     scale = np.abs(world - center).max() or 1.0
     (x, y), (u, v) = ((world - center) / scale).T, (sensor / (np.abs(sensor).max() or 1.0)).T
@@ -129,8 +129,8 @@ def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> A
     flat = as_array("flat", flat, shape=(None, 2))
     depth = as_array("depth", depth, shape=(None,))
     sensor = as_array("sensor", sensor, shape=(None, 2))
-    same_length(("flat", "sensor"), flat, sensor)
-    same_length(("flat", "depth"), flat, depth)
+    check_same_length(("flat", "sensor"), flat, sensor)
+    check_same_length(("flat", "depth"), flat, depth)
     radius2 = (sensor**2).sum(axis=1, keepdims=True)
     rows = np.stack([flat, -sensor * radius2, -sensor * depth[:, None]], axis=-1).reshape(-1, 3)
     scale = np.linalg.norm(rows, axis=0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, same_length, scalar
+from microlib._common import Array, as_array, as_scalar, check_same_length
 from microlib.calibration._detection import Detection
 from microlib.calibration._fit import Photographs
 from microlib.microscope import whole_size
@@ -21,7 +21,7 @@ _SMALLEST = 1e-9
 def plane_points(least: int, **named: ArrayLike) -> list[Array]:
     """Checked points (N, 2) and their images: at least `least`, and not on one line."""
     pairs = [as_array(name, points, shape=(None, 2)) for name, points in named.items()]
-    same_length(tuple(named), *pairs)
+    check_same_length(tuple(named), *pairs)
     for name, points in zip(named, pairs, strict=True):
         if len(points) < least:
             raise ValueError(f"{name} must hold at least {least} points, got {len(points)}")
@@ -78,7 +78,7 @@ def _of_detections(
 ) -> Photographs:
     if pitch is None:
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
-    pitch = scalar("pitch", pitch, above=0)
+    pitch = as_scalar("pitch", pitch, above=0)
     size = detections[0].image_size
     if any(each.image_size != size for each in detections):
         raise ValueError("world must hold detections in images of one size, got several")

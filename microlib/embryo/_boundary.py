@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from microlib._common import Array, Tidy, as_image, luminance, one_of
+from microlib._common import Array, FlatResult, as_choice, as_image, luminance
 from microlib.embryo._probe import CLEARANCE, MARGIN, MIN_IMAGE, Probe, find_probe, remove_probe
 from microlib.embryo._rotation import DIRECTIONS, Rotation
 from microlib.embryo._wall import locate_wall
@@ -29,7 +29,7 @@ _SMOOTHING = 11
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Boundary(Tidy):
+class Boundary(FlatResult):
     """Outline of an embryo on the side of the probe, along the middle of its chorion.
 
     All fields refer to the image rotated so that the probe comes from above. `points` are points of
@@ -131,7 +131,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     True
     """
     whole = as_image("image", luminance("image", image), smallest=MIN_IMAGE)
-    one_of("direction", direction, ("auto", *DIRECTIONS))
+    as_choice("direction", direction, ("auto", *DIRECTIONS))
     _check_exposure(np.asarray(image), whole)
     reasons: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):

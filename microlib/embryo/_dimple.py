@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, Tidy, inverse_normal, one_of, robust_std, scalar
+from microlib._common import Array, FlatResult, as_choice, as_scalar, inverse_normal, robust_std
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -31,7 +31,7 @@ _MAX_RMS = 1 / 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DimpleGeometry(Tidy):
+class DimpleGeometry(FlatResult):
     """Size of a dimple and the two points of the outline that define it.
 
     Attributes
@@ -98,8 +98,8 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     >>> print(f"a = {dimple.rim_radius:.3f} µm, w_d = {dimple.dimple_depth:.3f} µm")
     a = 29.882 µm, w_d = 11.655 µm
     """
-    size = scalar("pixel_size", pixel_size, above=0)
-    sign = {"left": -1, "right": 1}[one_of("rim", rim, ("left", "right"))]
+    size = as_scalar("pixel_size", pixel_size, above=0)
+    sign = {"left": -1, "right": 1}[as_choice("rim", rim, ("left", "right"))]
     maxima, minima = curve.extrema()
     between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
     if not between_maxima:
@@ -121,7 +121,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DimpleFit(Tidy):
+class DimpleFit(FlatResult):
     """Dimple with the profile (4.2) fitted to an outline, from `fit_dimple`.
 
     Attributes
@@ -217,8 +217,8 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     >>> print(f"{dimple.dimple_depth:.0f} µm, truth {scene.embryo.dimple_depth:.0f} µm")
     121 µm, truth 121 µm
     """
-    size = scalar("pixel_size", pixel_size, above=0)
-    c = scalar("probe_half_width", probe_half_width, above=0) / size
+    size = as_scalar("pixel_size", pixel_size, above=0)
+    c = as_scalar("probe_half_width", probe_half_width, above=0) / size
     _check_probe_width(boundary, c, size)
     outline = np.stack([boundary.x, boundary.y, boundary.uncertainty])[:, ~boundary.under_probe]
     start = _initial_dimple(outline[0], outline[1], boundary)

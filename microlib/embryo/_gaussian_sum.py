@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import OptimizeResult, brentq, least_squares
 
-from microlib._common import Array, Tidy, as_array, positive, same_length, whole
+from microlib._common import Array, FlatResult, as_array, as_integer, as_positive, check_same_length
 
 #: Least width of a term, as a fraction of the outline's extent; 0.003 to 0.03 change E by 0.2 %.
 _MIN_WIDTH = 0.01
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GaussianSum(Tidy):
+class GaussianSum(FlatResult):
     r"""Sum of Gaussians, equation (5.1).
 
     .. math:: f_m(x) = \sum_i a_i \exp\left(-\left(\frac{x-b_i}{c_i}\right)^2\right)
@@ -62,8 +62,8 @@ class GaussianSum(Tidy):
         for name in ("amplitudes", "centers", "widths"):
             values = as_array(name, getattr(self, name), shape=(None,))
             object.__setattr__(self, name, values)
-            same_length(("amplitudes", name), self.amplitudes, values)
-        positive("widths", self.widths)
+            check_same_length(("amplitudes", name), self.amplitudes, values)
+        as_positive("widths", self.widths)
         low, high = as_array("domain", self.domain, shape=(2,))
         if low >= high:
             raise ValueError(f"domain must run from a smaller to a larger x, got {self.domain}")
@@ -151,8 +151,8 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     [25.0, 75.0]
     """
     x, y = as_array("x", x, shape=(None,)), as_array("y", y, shape=(None,))
-    same_length(("x", "y"), x, y)
-    n = whole("terms", terms, least=1)
+    check_same_length(("x", "y"), x, y)
+    n = as_integer("terms", terms, least=1)
     if len(x) < 3 * n:
         raise ValueError(
             f"x must have at least {3 * n} points for {n} terms of three parameters, got {len(x)}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, same_length, scalar, whole
+from microlib._common import Array, as_array, as_integer, as_scalar, check_same_length
 
 
 def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) -> Array:
@@ -55,9 +55,9 @@ def loess(x: ArrayLike, y: ArrayLike, *, span: float = 0.25, degree: int = 2) ->
     """
     x = as_array("x", x, shape=(None,))
     y = as_array("y", y, shape=(None,))
-    same_length(("x", "y"), x, y)
-    fraction = scalar("span", span, above=0, most=1)
-    whole("degree", degree, least=1, most=2)
+    check_same_length(("x", "y"), x, y)
+    fraction = as_scalar("span", span, above=0, most=1)
+    as_integer("degree", degree, least=1, most=2)
     # A product such as 0.29 × 100 must not lose a neighbor to rounding.
     k = int(fraction * len(x) * (1 + 4 * np.finfo(float).eps))
     if k < degree + 1:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Tidy, measured, poisson
+from microlib._common import FlatResult, as_physical, as_poisson_ratio
 from microlib.embryo._boundary import MIN_SIDE, Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple
 from microlib.estimate import Estimate
@@ -30,7 +30,7 @@ _NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImageEstimate(Tidy):
+class ImageEstimate(FlatResult):
     """Modulus measured in an image, from `modulus_from_image`.
 
     Attributes
@@ -191,11 +191,11 @@ def modulus_from_image(
     >>> estimate.modulus.low < 1.2 < estimate.modulus.high, estimate.modulus.uncertainty < 0.06
     (True, True)
     """
-    load, size = measured("force", force, "µN"), measured("pixel_size", pixel_size, "µm/px")
+    load, size = as_physical("force", force, "µN"), as_physical("pixel_size", pixel_size, "µm/px")
     given = {
-        "thickness": measured("thickness", thickness, "µm"),
-        "probe_half_width": measured("probe_half_width", probe_half_width, "µm"),
-        "poisson_ratio": poisson(poisson_ratio),
+        "thickness": as_physical("thickness", thickness, "µm"),
+        "probe_half_width": as_physical("probe_half_width", probe_half_width, "µm"),
+        "poisson_ratio": as_poisson_ratio(poisson_ratio),
     }
     boundary = extract_boundary(image, direction=direction)
     try:

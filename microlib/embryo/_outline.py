@@ -16,7 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, Array, Tidy, as_array, robust_std, same_length, scalar
+from microlib._common import (
+    MICROMETERS,
+    Array,
+    FlatResult,
+    as_array,
+    as_scalar,
+    check_same_length,
+    robust_std,
+)
 from microlib.embryo._dimple import DimpleGeometry, dimple_geometry, residual_variance
 from microlib.embryo._gaussian_sum import GaussianSum, fit_gaussians
 from microlib.embryo._loess import loess
@@ -31,7 +39,7 @@ _MIN_POINTS = 24
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OutlineTable(Tidy):
+class OutlineTable(FlatResult):
     """Points of an outline, from `read_outline`.
 
     Attributes
@@ -128,7 +136,7 @@ def _columns(path: object, names: list[str]) -> tuple[list[int], float | None, b
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OutlineDimple(Tidy):
+class OutlineDimple(FlatResult):
     """Dimple of an outline, from `dimple_from_outline`.
 
     Attributes
@@ -200,10 +208,10 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     >>> print(f"a = {dimple.rim_radius:.0f} µm, w_d = {dimple.dimple_depth:.0f} µm")
     a = 60 µm, w_d = 63 µm
     """
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = as_scalar("pixel_size", pixel_size, above=0)
     limits: dict[str, Any] = {"shape": (None,), "least": -MOST_PIXELS, "most": MOST_PIXELS}
     points = as_array("x", x, **limits), as_array("y", y, **limits)
-    same_length(("x", "y"), *points)
+    check_same_length(("x", "y"), *points)
     across, up, y_down = _part_with_dimple(*points)
     smooth = [loess(across, up, span=span) for span in SPANS]
     curves = [fit_gaussians(across, each) for each in smooth]

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates, median_filter
 
-from microlib._common import Array, Tidy, as_array, robust_std
+from microlib._common import Array, FlatResult, as_array, robust_std
 from microlib.embryo._rotation import Rotation
 
 # The grey levels that separate the probe from what is beside it are stated here alone. Each is a
@@ -56,7 +56,7 @@ CLEARANCE = 3.0
 
 
 @dataclass(frozen=True)
-class Probe(Tidy):
+class Probe(FlatResult):
     """Position and width of a probe that comes from above.
 
     Attributes

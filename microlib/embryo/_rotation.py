@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy
+from microlib._common import Array, FlatResult
 
 #: Edges that a probe may come from, and quarter turns counterclockwise that bring each to the top.
 DIRECTIONS = {"top": 0, "bottom": 2, "left": 3, "right": 1}
 
 
 @dataclass(frozen=True)
-class Rotation(Tidy):
+class Rotation(FlatResult):
     """Rotation of an image by quarter turns and a tilt.
 
     Attributes

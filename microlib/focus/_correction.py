@@ -7,7 +7,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_map, scalar, whole
+from microlib._common import Array, as_integer, as_map, as_scalar
 from microlib.focus.common import smooth_planes
 
 
@@ -52,8 +52,8 @@ def correct_spikes(depth: ArrayLike, *, window: int = 9, delta: float = 2.0) -> 
     0.0
     """
     z = as_map("depth", depth)
-    n = whole("window", window, least=3, odd=True, most=255)
-    limit = scalar("delta", delta, least=0)
+    n = as_integer("window", window, least=3, odd=True, most=255)
+    limit = as_scalar("delta", delta, least=0)
     unknown = np.isnan(z)
     if unknown.all():
         return z.copy()
@@ -130,6 +130,6 @@ def smooth_depth(depth: ArrayLike, *, jump: float, sigma: float = 7.0) -> Array:
     True
     """
     z = as_map("depth", depth)
-    limit = scalar("jump", jump, above=0)
-    deviation = scalar("sigma", sigma, above=0, most=250)
+    limit = as_scalar("jump", jump, above=0)
+    deviation = as_scalar("sigma", sigma, above=0, most=250)
     return smooth_planes(z, np.ones_like(z), jump=limit, sigma=deviation)

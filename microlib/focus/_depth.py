@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Frames, whole
+from microlib._common import Frames, as_integer
 from microlib.focus import multiscale
 from microlib.focus._measures import FocusMeasure, single_measure
 from microlib.focus._registration import register as find_registration
@@ -148,7 +148,7 @@ def depth_from_focus(
     42
     """
     single = single_measure(measure, window)
-    threads = whole("workers", workers, least=1)
+    threads = as_integer("workers", workers, least=1)
     report = progress or (lambda done, count: None)
     source = read_frames(frames, region=region, reduce=reduce, color=True)
     stack = read_stack(source, positions, spacing, report)

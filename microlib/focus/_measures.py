@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Image, as_array, one_of, scalar, whole
+from microlib._common import Image, as_array, as_choice, as_integer, as_scalar
 
 #: A focus measure: grey image to measure of the same shape, zero or positive.
 FocusMeasure = Callable[[Image], NDArray]
@@ -66,9 +66,9 @@ def sum_modified_laplacian(
     kind = getattr(image, "dtype", None)
     kind = kind if kind in (np.uint8, np.uint16) else np.float32
     grey = as_array("image", image, shape=(None, None), dtype=kind)
-    n = whole("window", window, least=1, odd=True)
-    s = whole("step", step, least=1)
-    limit = scalar("threshold", threshold, least=0)
+    n = as_integer("window", window, least=1, odd=True)
+    s = as_integer("step", step, least=1)
+    limit = as_scalar("threshold", threshold, least=0)
     if s >= min(grey.shape):
         raise ValueError(f"step must be below the image's sides {grey.shape}, got {step}")
     padded = cv2.copyMakeBorder(grey, s, s, s, s, cv2.BORDER_REFLECT_101)
@@ -93,9 +93,9 @@ MEASURES: dict[str, Callable[..., NDArray]] = {"sml": sum_modified_laplacian}
 def single_measure(measure: str | FocusMeasure, window: int | None) -> FocusMeasure | None:
     """Return the measure of one frame; None for "multiscale", which has several."""
     known = ("multiscale", *MEASURES)
-    name = "a function" if callable(measure) else repr(one_of("measure", measure, known))
+    name = "a function" if callable(measure) else repr(as_choice("measure", measure, known))
     if measure in MEASURES:
-        side = 5 if window is None else whole("window", window, least=1, odd=True)
+        side = 5 if window is None else as_integer("window", window, least=1, odd=True)
         return partial(MEASURES[str(measure)], window=side)
     if window is not None:
         raise ValueError(f"window must not be given with measure {name}, got {window!r}")

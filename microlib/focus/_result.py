@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image, Tidy, flat_row
+from microlib._common import Array, FlatResult, Image, flat_row
 from microlib.focus._registration import Registration
 from microlib.focus.common import DepthMap
 from microlib.io import Stack
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FocusResult(Tidy):
+class FocusResult(FlatResult):
     """Shape from focus, one value for every pixel.
 
     Attributes

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Image, as_array, scalar
+from microlib._common import Array, Image, as_array, as_scalar
 from microlib.focus.common import TINY
 from microlib.io import Stack
 
@@ -59,7 +59,7 @@ def check_positions(
     if spacing is not None:
         if positions is not None:
             raise ValueError("positions and spacing must not both be given")
-        positions = scalar("spacing", spacing) * np.arange(count)
+        positions = as_scalar("spacing", spacing) * np.arange(count)
     positions = from_file if positions is None else positions
     if positions is None:
         raise ValueError(

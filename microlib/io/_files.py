@@ -10,7 +10,7 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, SOFTWARE, as_array, reject_masks, replace_file, scalar
+from microlib._common import MICROMETERS, SOFTWARE, as_array, as_scalar, reject_masks, replace_file
 from microlib.io._read import read_frames
 
 
@@ -95,7 +95,7 @@ def write_height_tiff(
     shape = (None, None, 3) if rgb else (None, None)
     as_array("height", values, shape=shape, dtype=kept, finite=False)
     # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
-    size = scalar("pixel_size", pixel_size, above=0, least=1e-5)
+    size = as_scalar("pixel_size", pixel_size, above=0, least=1e-5)
     about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um".encode()}
     if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
         sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
@@ -150,7 +150,7 @@ def write_ply(
     b'ply'
     """
     heights = as_array("height", height, shape=(None, None), finite=False)
-    size = scalar("pixel_size", pixel_size, above=0)
+    size = as_scalar("pixel_size", pixel_size, above=0)
     known = np.isfinite(heights)
     cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     if not cells.any():

@@ -12,7 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import ArgumentError, Frames, Region, as_array, as_region, home_path, whole
+from microlib._common import (
+    ArgumentError,
+    Frames,
+    Region,
+    as_array,
+    as_integer,
+    as_region,
+    home_path,
+)
 from microlib.io._arrays import open_array, open_items, open_labeled, open_zarr
 from microlib.io._names import in_order
 from microlib.io._pictures import (
@@ -113,10 +121,10 @@ def read_frames(
     >>> [frame.dtype.name for frame in stack]
     ['uint8', 'uint8']
     """
-    by = whole("reduce", reduce, least=1)
+    by = as_integer("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
     wanted = {"channel": channel, "time": time, "series": series}
-    choice = {key: whole(key, n, least=0) for key, n in wanted.items() if n is not None}
+    choice = {key: as_integer(key, n, least=0) for key, n in wanted.items() if n is not None}
     stack = frames if isinstance(frames, Stack) else _open(frames, choice)
     if choice:  # which the reader has not applied
         name, number = choice.popitem()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from microlib._common import poisson, scalar
+from microlib._common import as_poisson_ratio, as_scalar
 from microlib.membrane._point_load import GAUSS, check_bending
 
 
@@ -99,9 +99,12 @@ def finite_slope_modulus(
     11.09 MPa
     """
     a, c = _geometry(rim_radius, probe_half_width)
-    load, depth = scalar("force", force, above=0), scalar("dimple_depth", dimple_depth, above=0)
-    h = scalar("thickness", thickness, above=0)
-    nu = poisson(poisson_ratio)
+    load, depth = (
+        as_scalar("force", force, above=0),
+        as_scalar("dimple_depth", dimple_depth, above=0),
+    )
+    h = as_scalar("thickness", thickness, above=0)
+    nu = as_poisson_ratio(poisson_ratio)
     check_bending("dimple_depth", depth, h)
     if depth > (steepest := _depth(1.0, a, c)):
         raise ValueError(
@@ -122,8 +125,8 @@ def finite_slope_modulus(
 
 
 def _geometry(rim_radius: float, probe_half_width: float) -> tuple[float, float]:
-    a = scalar("rim_radius", rim_radius, above=0)
-    return a, scalar("probe_half_width", probe_half_width, above=0, below=a)
+    a = as_scalar("rim_radius", rim_radius, above=0)
+    return a, as_scalar("probe_half_width", probe_half_width, above=0, below=a)
 
 
 def _profile(sine_at_probe: float, a: float, c: float) -> tuple[NDArray, NDArray, NDArray]:

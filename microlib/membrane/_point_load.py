@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import MEASURED, Array, as_array, poisson, positive
+from microlib._common import PHYSICAL_RANGES, Array, as_array, as_poisson_ratio, as_positive
 
 #: Nodes and weights of the Gauss–Legendre quadrature over a profile. 400 nodes change strain and
 #: modulus by 1e-13, and by 2e-11 where the membrane is nearly vertical (w_d/a ≤ 1, ζ ≥ 0.01).
@@ -441,10 +441,10 @@ def check_inputs(
     """
     others |= {"rim_radius": rim_radius, "dimple_depth": dimple_depth}
     others |= {"probe_half_width": probe_half_width, "thickness": thickness}
-    values = {name: positive(name, value) for name, value in others.items()}
+    values = {name: as_positive(name, value) for name, value in others.items()}
     values["poisson_ratio"] = ratio = as_array("poisson_ratio", poisson_ratio)
-    poisson(ratio.min())
-    poisson(ratio.max())
+    as_poisson_ratio(ratio.min())
+    as_poisson_ratio(ratio.max())
     np.broadcast_shapes(*(array.shape for array in values.values()))  # raises a ValueError itself
     c, a = np.broadcast_arrays(values["probe_half_width"], values["rim_radius"])
     if (c >= a).any():
@@ -458,7 +458,7 @@ def check_inputs(
 
 def warn_if_implausible(modulus: ArrayLike) -> None:
     """Warn of a modulus outside the range of materials, as lengths in mm or forces in N give."""
-    lowest, highest = MEASURED["MPa"]
+    lowest, highest = PHYSICAL_RANGES["MPa"]
     outside = [
         value for value in (np.min(modulus), np.max(modulus)) if value < lowest or value > highest
     ]

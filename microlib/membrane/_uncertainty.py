@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, generator, scalar, whole
+from microlib._common import Array, as_array, as_generator, as_integer, as_scalar
 from microlib.membrane._point_load import (
     annulus,
     check_inputs,
@@ -146,8 +146,8 @@ def modulus_samples(
     0.05 MPa
     """
     _, covariance = _check_errors(values, uncertainties)
-    missing = whole("size", size, least=1)
-    rng = generator("rng", rng)
+    missing = as_integer("size", size, least=1)
+    rng = as_generator("rng", rng)
     means, sigmas = np.array([values[name] for name in _INPUTS]), np.sqrt(np.diag(covariance))
     # The Poisson ratio is the last input and is not log-normal.
     log_variances = np.log1p((sigmas / means)[:-1] ** 2)
@@ -183,9 +183,9 @@ def _check_errors(
         raise ValueError(
             f"uncertainties must have keys among {sorted(_INPUTS)}, got {sorted(uncertainties)}"
         )
-    inputs = check_inputs(**{name: scalar(f"values[{name!r}]", values[name]) for name in values})
+    inputs = check_inputs(**{name: as_scalar(f"values[{name!r}]", values[name]) for name in values})
     stds = {
-        name: scalar(f"uncertainties[{name!r}]", uncertainties[name], least=0)
+        name: as_scalar(f"uncertainties[{name!r}]", uncertainties[name], least=0)
         for name in uncertainties
     }
     covariance = np.diag([stds.get(name, 0.0) ** 2 for name in _INPUTS])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, positive, same_length, scalar, whole
+from microlib._common import Array, as_array, as_integer, as_positive, as_scalar, check_same_length
 
 
 def point_jacobian(
@@ -63,9 +63,9 @@ def point_jacobian(
     xy = as_array("points", np.atleast_2d(as_array("points", points)), shape=(None, 2))
     z = as_array("depth", depth)
     z = as_array("depth", np.full(len(xy), z) if z.ndim == 0 else z, shape=(None,))
-    same_length(("points", "depth"), xy, z)
+    check_same_length(("points", "depth"), xy, z)
     pitch = of_two_axes("pixel_pitch", pixel_pitch)
-    scale_x, scale_y = scalar("magnification", magnification, above=0) / pitch
+    scale_x, scale_y = as_scalar("magnification", magnification, above=0) / pitch
     aspect = pitch[1] / pitch[0]
     jacobian = np.zeros((len(xy), 2, 6))
     jacobian[:, 0, 0] = scale_x
@@ -178,7 +178,7 @@ def ibvs_control(
     array([-4.,  4.])
     """
     matrix = full_rank(jacobian)
-    rate = -scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
+    rate = -as_scalar("gain", gain, above=0) * as_array("error", error, shape=(len(matrix),))
     if drift is not None:
         rate = rate - as_array("drift", drift, shape=(len(matrix),))
     return np.linalg.pinv(matrix) @ rate
@@ -217,9 +217,9 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
     >>> abs(loop_poles(0.81, 1.0)).round(3)
     array([0.9, 0.9, 0. ])
     """
-    g = scalar("gain", gain, above=0)
+    g = as_scalar("gain", gain, above=0)
     # A longer delay is one in ms: the poles of a thousand samples take ten seconds.
-    samples, part = divmod(scalar("delay", delay, least=0, most=200), 1.0)
+    samples, part = divmod(as_scalar("delay", delay, least=0, most=200), 1.0)
     polynomial = np.zeros(int(samples) + 3)
     polynomial[:2] = 1.0, -1.0
     polynomial[-2:] += g * (1.0 - part), g * part
@@ -272,7 +272,7 @@ class OptimalController:
         control_weight: ArrayLike,
     ) -> None:
         matrix = full_rank(jacobian)
-        step = scalar("interval", interval, above=0) * matrix
+        step = as_scalar("interval", interval, above=0) * matrix
         q = _weight("feature_weight", feature_weight, matrix.shape[0])
         weight = _weight("control_weight", control_weight, matrix.shape[1])
         self.gain = np.linalg.solve(step.T @ q @ step + weight, step.T @ q)
@@ -287,14 +287,14 @@ class OptimalController:
         shape = (*measured.shape[:-1], features)
         measured = as_array("measured", measured, shape=shape, finite=False)
         reference = as_array("reference", reference, shape=(None, features))
-        error = reference[min(whole("k", k, least=0) + 1, len(reference) - 1)] - measured
+        error = reference[min(as_integer("k", k, least=0) + 1, len(reference) - 1)] - measured
         seen = np.isfinite(measured).all(axis=-1, keepdims=True)
         return np.where(seen, error, 0.0) @ self.gain.T
 
 
 def of_two_axes(name: str, value: ArrayLike) -> Array:
     """Return two positive numbers, given as such or as one for both axes."""
-    numbers = positive(name, value)
+    numbers = as_positive(name, value)
     return as_array(name, np.full(2, numbers) if numbers.ndim == 0 else numbers, shape=(2,))
 
 

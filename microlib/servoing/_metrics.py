@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Tidy, as_array, same_length, scalar
+from microlib._common import FlatResult, as_array, as_scalar, check_same_length
 
 
 @dataclass(frozen=True)
-class StepMetrics(Tidy):
+class StepMetrics(FlatResult):
     """How a step was answered; NaN throughout, except the overshoot, if it never settled.
 
     Attributes
@@ -33,7 +33,7 @@ class StepMetrics(Tidy):
 
 
 @dataclass(frozen=True)
-class PathMetrics(Tidy):
+class PathMetrics(FlatResult):
     """How a path was followed, in the unit of the positions.
 
     Attributes
@@ -90,11 +90,11 @@ def step_metrics(
     """
     t = as_array("time", time, shape=(None,))
     x = as_array("position", position, shape=(None, None))
-    same_length(("time", "position"), t, x)
+    check_same_length(("time", "position"), t, x)
     if (np.diff(t) <= 0).any():
         raise ValueError("time must increase")
     goal = as_array("target", target, shape=(x.shape[1],))
-    share = scalar("band", band, above=0, below=1)
+    share = as_scalar("band", band, above=0, below=1)
     step = goal - x[0]
     length = float(np.linalg.norm(step))
     if length == 0:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, scalar
+from microlib._common import Array, FlatResult, as_array, as_scalar
 from microlib.servoing._control import full_rank, of_two_axes
 from microlib.servoing._devices import EndRun, InterruptGate, check_devices, stop_stage
 from microlib.servoing._loop import USED, Loop, LoopOptions, add_event, new_row, put
@@ -24,7 +24,7 @@ _DEBOUNCE = 0.3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ServoRun(Tidy):
+class ServoRun(FlatResult):
     """Result of `servo`.
 
     Attributes
@@ -183,15 +183,15 @@ def servo(
     shortest = float(limits.min())
     longest = USED * shortest
     if longest_move is not None:
-        longest = min(longest, scalar("longest_move", longest_move, above=0))
+        longest = min(longest, as_scalar("longest_move", longest_move, above=0))
     move = min(shortest / 10, longest) if test_move is None else test_move
     options = LoopOptions(
         targets=as_array("targets", np.atleast_2d(as_array("targets", targets)), shape=(None, 2)),
         travel=limits,
-        test_move=scalar("test_move", move, above=0, most=longest),
-        tolerance=scalar("tolerance", tolerance, above=0),
+        test_move=as_scalar("test_move", move, above=0, most=longest),
+        tolerance=as_scalar("tolerance", tolerance, above=0),
         longest_move=longest_move,
-        timeout=scalar("timeout", timeout, above=0),
+        timeout=as_scalar("timeout", timeout, above=0),
         progress=progress,
     )
     given = None if jacobian is None else full_rank(jacobian, (2, 2))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, generator
+from microlib._common import Array, as_array, as_generator
 from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import CameraTiming, StageModel
 
@@ -87,7 +87,7 @@ class SimulatedWorkstation:
         self.stage = _SimulatedStage(stage)
         self.clock = SimpleNamespace(now=lambda: self._now, sleep=self._sleep)
         self.camera = SimpleNamespace(snap=self._snap)
-        self._render, self._model, self._rng = render, camera, generator("rng", rng)
+        self._render, self._model, self._rng = render, camera, as_generator("rng", rng)
         self._now = 0.0
         self._next = -np.inf  # time of the earliest next exposure
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Tidy, as_array, generator, scalar
+from microlib._common import Array, FlatResult, as_array, as_generator, as_scalar
 from microlib.servoing._control import full_rank
 
 #: The control law of `simulate`: from the number k of the sample, the measured feature (px, NaN if
@@ -45,8 +45,8 @@ class StageModel:
 
     def __post_init__(self) -> None:
         for name in ("saturation", "travel"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        object.__setattr__(self, "increment", scalar("increment", self.increment, least=0))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name), above=0))
+        object.__setattr__(self, "increment", as_scalar("increment", self.increment, least=0))
 
     def rounded(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
@@ -76,13 +76,13 @@ class CameraTiming:
     jitter: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "interval", scalar("interval", self.interval, above=0))
+        object.__setattr__(self, "interval", as_scalar("interval", self.interval, above=0))
         for name in ("latency", "jitter"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name), least=0))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulation(Tidy):
+class Simulation(FlatResult):
     """Result of `simulate`, one row a frame; an axis of length N comes first for N runs.
 
     Attributes
@@ -189,9 +189,9 @@ def simulate(
         )
     count = len(references)
     if isinstance(rng, (list, tuple)):
-        noise = np.array([generator("rng", each).standard_normal((count, 2)) for each in rng])
+        noise = np.array([as_generator("rng", each).standard_normal((count, 2)) for each in rng])
     else:
-        noise = generator("rng", rng).standard_normal((*runs, count, 2))
+        noise = as_generator("rng", rng).standard_normal((*runs, count, 2))
     jitter = as_array("rng", camera.jitter * noise, shape=(*runs, count, 2))
     samples, part = divmod(camera.latency / camera.interval, 1.0)
     first = int(samples) + 1

@@ -16,7 +16,15 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.special import beta, ndtr
 
-from microlib._common import Array, Result, as_array, generator, image_shape, poisson, scalar
+from microlib._common import (
+    Array,
+    Result,
+    as_array,
+    as_generator,
+    as_image_shape,
+    as_poisson_ratio,
+    as_scalar,
+)
 from microlib.membrane import SmallSlopeWarning, dimple_depth, dimple_profile
 from microlib.synthetic._textures import eight_bits
 
@@ -119,11 +127,11 @@ class Embryo(Result):
 
     def __post_init__(self) -> None:
         for name in ("modulus", "rim_radius", "thickness", "probe_half_width", "radius"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), above=0))
-        object.__setattr__(self, "force", scalar("force", self.force, least=0))
-        object.__setattr__(self, "poisson_ratio", poisson(self.poisson_ratio))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name), above=0))
+        object.__setattr__(self, "force", as_scalar("force", self.force, least=0))
+        object.__setattr__(self, "poisson_ratio", as_poisson_ratio(self.poisson_ratio))
         if self.force > 0:
-            scalar("rim_radius", self.rim_radius, above=self.probe_half_width, below=self.radius)
+            as_scalar("rim_radius", self.rim_radius, above=self.probe_half_width, below=self.radius)
             if self._half_axes()[2] <= self.dimple_depth:
                 raise ValueError(
                     f"rim_radius must suit an embryo of {self.radius:g} µm radius, got "
@@ -219,8 +227,8 @@ class Embryo(Result):
         **properties: float,
     ) -> Embryo:
         """Return the embryo with a given force or depth, whose radius follows from the rim."""
-        value = scalar(name, value, above=0)
-        rim_curvature_radius = scalar("rim_curvature_radius", rim_curvature_radius, above=0)
+        value = as_scalar(name, value, above=0)
+        rim_curvature_radius = as_scalar("rim_curvature_radius", rim_curvature_radius, above=0)
         untouched = cls(modulus, 0.0, 1.0, **properties)
 
         def excess(radius: float) -> float:
@@ -285,7 +293,7 @@ class Embryo(Result):
         >>> print(f"from {outline[:, 1].min():.0f} µm to {abs(outline[:, 1].max()):.2f} µm")
         from -1059 µm to 0.00 µm
         """
-        spacing = scalar("spacing", spacing, above=0, most=self.radius)
+        spacing = as_scalar("spacing", spacing, above=0, most=self.radius)
         # 0.5 µm apart or less where it is round, which leaves a chord within 0.0001 µm of it.
         count = 4001
         quarter = np.linspace(0.0, np.pi / 2, count)
@@ -447,13 +455,13 @@ def embryo_image(
     >>> scene.image.shape, scene.image.dtype.name
     ((768, 1024), 'uint8')
     """
-    rng = generator("rng", rng)
-    pixel_size = scalar("pixel_size", pixel_size, above=0)
-    rows, columns = image_shape("shape", shape, least=64)
-    tilt = scalar("tilt", tilt, least=-np.pi, most=np.pi)
-    blur = scalar("blur", blur, least=0.5)  # above the blur of the drawing
-    noise = scalar("noise", noise, least=0)
-    unevenness = scalar("unevenness", unevenness, least=0, most=0.5)
+    rng = as_generator("rng", rng)
+    pixel_size = as_scalar("pixel_size", pixel_size, above=0)
+    rows, columns = as_image_shape("shape", shape, least=64)
+    tilt = as_scalar("tilt", tilt, least=-np.pi, most=np.pi)
+    blur = as_scalar("blur", blur, least=0.5)  # above the blur of the drawing
+    noise = as_scalar("noise", noise, least=0)
+    unevenness = as_scalar("unevenness", unevenness, least=0, most=0.5)
     if center is None:
         center = ((columns - 1) / 2, (rows - 1 - embryo.height / pixel_size) / 2)
     x, y = as_array("center", center, shape=(2,)).tolist()

@@ -8,7 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, Result, as_array, generator, image_shape, scalar, whole
+from microlib._common import (
+    Array,
+    Result,
+    as_array,
+    as_generator,
+    as_image_shape,
+    as_integer,
+    as_scalar,
+)
 from microlib.synthetic._textures import eight_bits, mixed_texture
 
 #: Samples of the drawing per pixel, which are interpolated linearly. Half or twice as many move the
@@ -55,7 +63,7 @@ class GripperScene(Result):
 
     def box(self, size: int, shift: ArrayLike = (0.0, 0.0)) -> tuple[int, int, int, int]:
         """Return (x, y, width, height) of a window of `size` px about the shifted opening."""
-        size = whole("size", size, least=1)
+        size = as_integer("size", size, least=1)
         shift = as_array("shift", shift, shape=(2,))
         x, y = np.rint(self.home - (size - 1) / 2 + shift).astype(int)
         return int(x), int(y), size, size
@@ -79,9 +87,9 @@ class GripperScene(Result):
         size = self.shape[::-1]
         drawing = cv2.warpAffine(self.drawing, sampling, size, flags=flags)
         cover = cv2.warpAffine(self.cover, sampling, size, flags=flags)
-        scene = scalar("gain", gain, above=0) * (drawing + (1.0 - cover) * self.ground)
-        sigma = scalar("noise", noise, least=0)
-        noisy = scene + sigma * generator("rng", rng).standard_normal(self.shape, np.float32)
+        scene = as_scalar("gain", gain, above=0) * (drawing + (1.0 - cover) * self.ground)
+        sigma = as_scalar("noise", noise, least=0)
+        noisy = scene + sigma * as_generator("rng", rng).standard_normal(self.shape, np.float32)
         return eight_bits(noisy)
 
 
@@ -127,14 +135,14 @@ def gripper_scene(
     >>> scene.frame((10.5, -3.25), rng).shape, round(scene.opening, 2)
     ((240, 320), 16.05)
     """
-    opening = scalar("gap", gap, above=0) / scalar("pixel_size", pixel_size, above=0)
-    reach = whole("reach", reach, least=1)
-    rows, columns = image_shape("shape", shape, least=50)  # room for both jaws
+    opening = as_scalar("gap", gap, above=0) / as_scalar("pixel_size", pixel_size, above=0)
+    reach = as_integer("reach", reach, least=1)
+    rows, columns = as_image_shape("shape", shape, least=50)  # room for both jaws
     if opening > rows / 3:
         raise ValueError(
             f"gap must be under a third of the frame's {rows} px, got {opening:.0f} px"
         )
-    rng = generator("rng", rng)
+    rng = as_generator("rng", rng)
     margin = reach + 2  # a pixel for the interpolation, and one that `frame` keeps
     height, width = _DENSITY * (rows + 2 * margin), _DENSITY * (columns + 2 * margin)
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])

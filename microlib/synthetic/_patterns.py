@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, as_array, image_shape, scalar
+from microlib._common import Array, as_array, as_image_shape, as_scalar
 from microlib.microscope import Microscope
 from microlib.synthetic._textures import noise_source
 
@@ -55,11 +55,11 @@ class ImagingConditions:
 
     def __post_init__(self) -> None:
         for name in ("blur", "noise"):
-            object.__setattr__(self, name, scalar(name, getattr(self, name), least=0))
+            object.__setattr__(self, name, as_scalar(name, getattr(self, name), least=0))
         for name in ("dark", "bright"):
-            level = scalar(name, getattr(self, name), least=0, most=255)
+            level = as_scalar(name, getattr(self, name), least=0, most=255)
             object.__setattr__(self, name, level)
-        loss = scalar("vignetting", self.vignetting, least=0, most=1)
+        loss = as_scalar("vignetting", self.vignetting, least=0, most=1)
         object.__setattr__(self, "vignetting", loss)
         as_array("gradient", self.gradient, shape=(2,), least=-1, most=1)
 
@@ -108,8 +108,8 @@ def render_circles(
     >>> image.shape, float(image.min().round()), float(image.max().round())
     ((90, 120), 50.0, 200.0)
     """
-    radius = scalar("radius", radius, above=0)
-    pitch = scalar("pitch", pitch, above=0)
+    radius = as_scalar("radius", radius, above=0)
+    pitch = as_scalar("pitch", pitch, above=0)
     if not 2 * radius < pitch:
         raise ValueError(f"pitch must exceed the diameter {2 * radius:g} µm, got {pitch:g}")
 
@@ -173,7 +173,7 @@ def render_squares(
     >>> round(float(area) ** 0.5, 1)
     200.0
     """
-    side = scalar("side", side, above=0)
+    side = as_scalar("side", side, above=0)
     half = side / 2
 
     def offset(plane: Array) -> Array:
@@ -246,7 +246,7 @@ def _render(
     """Render the pattern; `depth` returns the signed distance to its outline, µm."""
     imaging = ImagingConditions() if imaging is None else imaging
     if counts is not None:
-        image_shape("counts", counts)
+        as_image_shape("counts", counts)
     source = noise_source(rng, imaging.noise)
     width, height = microscope.image_size
     margin = int(np.ceil(4 * imaging.blur)) + 1  # 6e-5 of the point spread lie beyond

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_array, as_image, scalar
+from microlib._common import as_array, as_image, as_scalar
 from microlib.optics import BlurLadder
 from microlib.synthetic._textures import eight_bits, noise_source
 
@@ -60,9 +60,9 @@ def focal_stack(
     image = as_image("texture", texture)
     z = as_array("height", height, shape=image.shape)
     focus = as_array("positions", positions, shape=(None,))
-    rate = scalar("blur_rate", blur_rate, above=0)
+    rate = as_scalar("blur_rate", blur_rate, above=0)
     in_focus = 0.5  # px
-    sigma = scalar("noise", noise, least=0)
+    sigma = as_scalar("noise", noise, least=0)
     rng = noise_source(rng, sigma)
     furthest = max(focus.max() - z.min(), z.max() - focus.min())
     # The ladder must contain the largest blur in spite of rounding.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from microlib._common import Array, image_shape, scalar
+from microlib._common import Array, as_image_shape, as_scalar
 
 
 def _centered(shape: tuple[int, int]) -> tuple[Array, Array]:
     """Return x and y from the center of the image, px."""
-    rows, cols = image_shape("shape", shape, least=2)
+    rows, cols = as_image_shape("shape", shape, least=2)
     y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
     return x - (cols - 1) / 2, y - (rows - 1) / 2
 
@@ -46,8 +46,8 @@ def parabolic_cylinder(
     [0.0, 375.0, 500.0, 375.0, 0.0]
     """
     x, _ = _centered(shape)
-    half = scalar("width", shape[1] - 1 if width is None else width, above=0) / 2
-    return scalar("height", height, above=0) * np.maximum(1 - (x / half) ** 2, 0)
+    half = as_scalar("width", shape[1] - 1 if width is None else width, above=0) / 2
+    return as_scalar("height", height, above=0) * np.maximum(1 - (x / half) ** 2, 0)
 
 
 def paraboloid(shape: tuple[int, int], height: float) -> Array:
@@ -78,7 +78,7 @@ def paraboloid(shape: tuple[int, int], height: float) -> Array:
     """
     x, y = _centered(shape)
     square = x**2 + y**2
-    return scalar("height", height, above=0) * (1 - square / square.max())
+    return as_scalar("height", height, above=0) * (1 - square / square.max())
 
 
 def sphere_on_plane(shape: tuple[int, int], radius: float, pixel_size: float) -> Array:
@@ -111,8 +111,8 @@ def sphere_on_plane(shape: tuple[int, int], radius: float, pixel_size: float) ->
     [0.0, 16.0, 20.0, 16.0, 0.0]
     """
     x, y = _centered(shape)
-    r = scalar("radius", radius, above=0)
-    square = (x**2 + y**2) * scalar("pixel_size", pixel_size, above=0) ** 2
+    r = as_scalar("radius", radius, above=0)
+    square = (x**2 + y**2) * as_scalar("pixel_size", pixel_size, above=0) ** 2
     return np.where(square <= r**2, r + np.sqrt(np.maximum(r**2 - square, 0)), 0.0)
 
 
@@ -145,5 +145,5 @@ def cone(shape: tuple[int, int], height: float, radius: float) -> Array:
     [0.0, 5.0, 10.0, 5.0, 0.0]
     """
     x, y = _centered(shape)
-    base = scalar("radius", radius, above=0)
-    return scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / base, 0)
+    base = as_scalar("radius", radius, above=0)
+    return as_scalar("height", height, above=0) * np.maximum(1 - np.hypot(x, y) / base, 0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from microlib._common import as_array, generator, image_shape, positive, scalar
+from microlib._common import as_array, as_generator, as_image_shape, as_positive, as_scalar
 
 
 def eight_bits(image: NDArray) -> NDArray[np.uint8]:
@@ -18,7 +18,7 @@ def noise_source(rng: np.random.Generator | int | None, noise: float) -> np.rand
     """Return the random generator of a scene, which is required if there is noise."""
     if rng is None and noise > 0:
         raise ValueError("rng must be given if there is noise, got None")
-    return generator("rng", 0 if rng is None else rng)
+    return as_generator("rng", 0 if rng is None else rng)
 
 
 def mixed_texture(
@@ -60,11 +60,11 @@ def mixed_texture(
     >>> texture.shape, round(float(texture.mean())), round(float(texture.std()))
     ((64, 64), 128, 38)
     """
-    rows, cols = image_shape("shape", shape, least=2)
-    contrast = scalar("std", std, least=0)
-    mean = scalar("mean", mean)
-    sizes = as_array("scales", np.atleast_1d(positive("scales", scales)), shape=(None,))
-    rng = generator("rng", rng)
+    rows, cols = as_image_shape("shape", shape, least=2)
+    contrast = as_scalar("std", std, least=0)
+    mean = as_scalar("mean", mean)
+    sizes = as_array("scales", np.atleast_1d(as_positive("scales", scales)), shape=(None,))
+    rng = as_generator("rng", rng)
     total = np.zeros((rows, cols))
     for scale in sizes:
         layer = gaussian_filter(rng.standard_normal((rows, cols)), scale, mode="wrap")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import as_array, as_image, luminance, scalar
+from microlib._common import as_array, as_image, as_scalar, luminance
 from microlib._plots import path
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._tracker import ESMTracker
@@ -67,8 +67,8 @@ def track_each(
     0.05 s: 5.0 µm
     0.1 s: 10.0 µm
     """
-    interval = None if rate is None else 1 / scalar("rate", rate, above=0)
-    size = None if pixel_size is None else scalar("pixel_size", pixel_size, above=0)
+    interval = None if rate is None else 1 / as_scalar("rate", rate, above=0)
+    size = None if pixel_size is None else as_scalar("pixel_size", pixel_size, above=0)
     if not np.iterable(frames):
         raise ValueError(f"frames must be images one after another, got {frames!r:.80}")
     tracker = None

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Tidy, flat_row
+from microlib._common import Array, FlatResult, flat_row
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Track(Tidy):
+class Track(FlatResult):
     """Where the template is in one frame.
 
     Attributes

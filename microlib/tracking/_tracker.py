@@ -7,7 +7,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import ArgumentError, Array, as_array, as_image, as_region, luminance, one_of
+from microlib._common import (
+    ArgumentError,
+    Array,
+    as_array,
+    as_choice,
+    as_image,
+    as_region,
+    luminance,
+)
 from microlib.tracking._esm import Template, check_texture, make_level
 from microlib.tracking._geometry import GENERATORS, cut_around, translate
 from microlib.tracking._kalman import KalmanFilter
@@ -111,7 +119,7 @@ class ESMTracker:
         mask: ArrayLike | None = None,
     ) -> None:
         frame = np.ascontiguousarray(as_image("image", luminance("image", image)))
-        motion = one_of("motion", motion, tuple(GENERATORS))
+        motion = as_choice("motion", motion, tuple(GENERATORS))
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=6)
         weight, self._object = None, np.ones((height, width), bool)
         if mask is not None:

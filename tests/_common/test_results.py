@@ -9,7 +9,7 @@ from dataclasses import dataclass, is_dataclass
 import numpy as np
 import pytest
 
-from microlib._common import Tidy
+from microlib._common import FlatResult
 from tests import fuzz
 from tests.laws import unlike
 
@@ -20,13 +20,13 @@ NO_ROWS = {"Curvature", "Windows", "Profile", "PeakFit", "Stage", "Camera"} | {
 
 
 @dataclass(frozen=True)
-class Inner(Tidy):
+class Inner(FlatResult):
     center: tuple[float, float]
     inner_misfit: float
 
 
 @dataclass(frozen=True)
-class Outer(Tidy):
+class Outer(FlatResult):
     _large = ("x",)
 
     x: np.ndarray
@@ -69,7 +69,7 @@ def test_every_result_has_repr_row_and_pickle(name):
         assert not [*unlike(found, pickle.loads(pickle.dumps(found)))]
         if name.startswith("synthetic.") or kind in NO_ROWS:
             continue
-        assert isinstance(found, Tidy), kind
+        assert isinstance(found, FlatResult), kind
         row = found.to_dict()
         assert not [n for n in row if re.search(r"_\d", n)]
         assert json.loads(json.dumps(row, allow_nan=False)) == row

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import as_image, luminance, one_of
+from microlib._common import as_choice, as_image, luminance
 from microlib.calibration._detection import Detection
 from microlib.calibration.detection._boards import Charuco, Chessboard
 from microlib.calibration.detection._circles import Circles
@@ -57,7 +57,7 @@ def detect_pattern(image: ArrayLike, pattern: str = "auto") -> tuple[str, Detect
     ('chessboard', 30)
     """
     names = [known.name for group in _PATTERNS for known in group]
-    one_of("pattern", pattern, ("auto", *names))
+    as_choice("pattern", pattern, ("auto", *names))
     grey, faults = GreyImage.from_levels(_grey(image)), []
     for group in _PATTERNS:
         asked = [known for known in group if pattern in ("auto", known.name)]
@@ -212,7 +212,7 @@ def detect_squares(
     >>> len(found.points), bool(abs(error).max() < 0.01), round(found.side, 3)
     (16, True, 0.5)
     """
-    pattern = one_of("pattern", pattern, ("squares", "chessboard"))
+    pattern = as_choice("pattern", pattern, ("squares", "chessboard"))
     return detect_pattern(image, pattern)[1]
 
 

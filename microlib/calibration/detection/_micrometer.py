@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Result, scalar
+from microlib._common import Array, Result, as_scalar
 from microlib.calibration._uncertainty import student_quantile
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.estimate import Estimate
@@ -55,7 +55,7 @@ class Micrometer(Result):
         Estimate
             The interval has no upper limit if that of the spacing contains zero.
         """
-        division = scalar("division", division, above=0)
+        division = as_scalar("division", division, above=0)
         spacing, (low, high) = self.spacing, self.spacing.interval
         size = division / spacing.value
         return Estimate(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from microlib._common import Tidy, scalar
+from microlib._common import FlatResult, as_scalar
 from microlib.membrane._point_load import warn_if_implausible
 from microlib.membrane.large._capsule_problem import (
     CapsuleProblem,
@@ -24,7 +24,7 @@ from microlib.membrane.large._solver import MembraneState, dimensional_state, me
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CapsuleModulus(Tidy):
+class CapsuleModulus(FlatResult):
     """Modulus and inflation of an indented capsule, from `capsule_modulus`.
 
     Attributes
@@ -142,9 +142,9 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    load = scalar("force", force, least=0)
-    stiffness = scalar("modulus", modulus, above=0)
-    stretch = scalar("inflation", inflation, least=1)
+    load = as_scalar("force", force, least=0)
+    stiffness = as_scalar("modulus", modulus, above=0)
+    stretch = as_scalar("inflation", inflation, least=1)
     r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
     material = constitutive_law(law, poisson_ratio)
     if load == 0:  # from the top of the sphere to the plate
@@ -235,8 +235,8 @@ def capsule_modulus(
     >>> print(f"{egg.modulus:.2f} MPa, inflated by {egg.inflation:.3f}")
     1.12 MPa, inflated by 1.042
     """
-    load = scalar("force", force, above=0)
-    a, deep = scalar("rim_radius", rim_radius, above=0), scalar("depth", depth, above=0)
+    load = as_scalar("force", force, above=0)
+    a, deep = as_scalar("rim_radius", rim_radius, above=0), as_scalar("depth", depth, above=0)
     r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
     material = constitutive_law(law, poisson_ratio)
     if not c < a < r0:
@@ -292,9 +292,9 @@ def _exponents(problem: CapsuleProblem, solution: Any) -> dict[str, float]:
 def _check_sizes(
     capsule_radius: float, thickness: float, probe_half_width: float
 ) -> tuple[float, float, float]:
-    r0 = scalar("capsule_radius", capsule_radius, above=0)
-    c = scalar("probe_half_width", probe_half_width, above=0, below=r0)
-    return r0, scalar("thickness", thickness, above=0), c
+    r0 = as_scalar("capsule_radius", capsule_radius, above=0)
+    c = as_scalar("probe_half_width", probe_half_width, above=0, below=r0)
+    return r0, as_scalar("thickness", thickness, above=0), c
 
 
 def _state(

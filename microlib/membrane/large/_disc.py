@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from microlib._common import Array, scalar
+from microlib._common import Array, as_scalar
 from microlib.membrane._point_load import check_bending, warn_if_implausible
 from microlib.membrane.large._laws import Law, constitutive_law
 from microlib.membrane.large._solver import (
@@ -226,8 +226,11 @@ def indent_disc(
     >>> print(f"{state.depth:.2f} µm")
     60.58 µm
     """
-    load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
-    stiffness, h = scalar("modulus", modulus, above=0), scalar("thickness", thickness, above=0)
+    load, a = as_scalar("force", force, above=0), as_scalar("rim_radius", rim_radius, above=0)
+    stiffness, h = (
+        as_scalar("modulus", modulus, above=0),
+        as_scalar("thickness", thickness, above=0),
+    )
     support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
     material = constitutive_law(law, poisson_ratio)
     free = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
@@ -301,8 +304,8 @@ def disc_modulus(
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
-    load, a = scalar("force", force, above=0), scalar("rim_radius", rim_radius, above=0)
-    target, h = scalar("depth", depth, above=0), scalar("thickness", thickness, above=0)
+    load, a = as_scalar("force", force, above=0), as_scalar("rim_radius", rim_radius, above=0)
+    target, h = as_scalar("depth", depth, above=0), as_scalar("thickness", thickness, above=0)
     support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
     material = constitutive_law(law, poisson_ratio)
     disc = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
@@ -328,12 +331,12 @@ def _dimensionless_disc(
     load: float, a: float, h: float, probe_half_width: float, law: Law, **support: Any
 ) -> _Disc:
     """Return the problem of a disc of modulus 1 MPa, rim radius a and thickness h under a load."""
-    c = scalar("probe_half_width", probe_half_width, above=0, below=a)
-    prestretch = 1 + scalar("pretension", support["pretension"], least=0)
-    inset = scalar("rim_inset", support["rim_inset"], least=0, most=0.5)
+    c = as_scalar("probe_half_width", probe_half_width, above=0, below=a)
+    prestretch = 1 + as_scalar("pretension", support["pretension"], least=0)
+    inset = as_scalar("rim_inset", support["rim_inset"], least=0, most=0.5)
     pressure = support["pressure"]
     if not isinstance(pressure, str):
-        pressure = scalar("pressure", pressure, least=0)
+        pressure = as_scalar("pressure", pressure, least=0)
     elif pressure == "balance":
         pressure = load / (np.pi * a**2)
     else:

@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from microlib._common import Array, one_of, poisson
+from microlib._common import Array, as_choice, as_poisson_ratio
 
 #: C₂/C₁ of the Mooney–Rivlin law: an assumption, one value between rubber-like and stiffening.
 MOONEY_RATIO = 0.2
@@ -124,8 +124,8 @@ def _invert_biaxial(value: Array, hoop: Array) -> Array:
 
 def constitutive_law(name: str, poisson_ratio: float) -> Law:
     """Return the law called `name`, with a Poisson ratio that it can have."""
-    law = one_of("law", name, ("hooke", "neo-hooke", "mooney-rivlin"))
-    nu = poisson(poisson_ratio)
+    law = as_choice("law", name, ("hooke", "neo-hooke", "mooney-rivlin"))
+    nu = as_poisson_ratio(poisson_ratio)
     if law == "hooke":
         return Hooke(nu)
     if nu != 0.5:

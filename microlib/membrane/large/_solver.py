@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from microlib._common import Array, Tidy
+from microlib._common import Array, FlatResult
 from microlib.membrane.large._laws import Law
 
 #: Mesh, state and unknown parameters (None without any) from which a collocation starts.
@@ -93,7 +93,7 @@ def meridian(law: Law, part: Segment) -> Array:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MembraneState(Tidy):
+class MembraneState(FlatResult):
     r"""A membrane in equilibrium under a probe, from `indent_disc` or `indent_capsule`.
 
     Attributes
