@@ -52,6 +52,7 @@ def pressed(u) -> dict:
 def scope(u, **changes) -> Microscope:
     upright = dict.fromkeys(("alpha", "beta", "gamma"), 0.0)
     place = {"tx": -310.0 * u.um, "ty": -190.0 * u.um, "image_size": (110, 80)}
+    place["principal_offset"] = (2.0, -1.5)
     return pose(u, **upright | place | changes)
 
 
@@ -167,7 +168,8 @@ def test_rendered_pattern_follows_transposed_camera(draw):
     """Light, counts, cells and place swapped between the axes make the picture transposed."""
     light = replace(imaging(Units()), noise=0.0)
     one = draw(scope(Units()), counts=(3, 2), imaging=light)
-    turned = scope(Units(), tx=-190.0, ty=-310.0, pixel_pitch=(8.3, 9.9), image_size=(80, 110))
+    swapped = {"tx": -190.0, "ty": -310.0, "principal_offset": (-1.5, 2.0)}
+    turned = scope(Units(), **swapped, pixel_pitch=(8.3, 9.9), image_size=(80, 110))
     other = draw(turned, counts=(2, 3), imaging=replace(light, gradient=light.gradient[::-1]))
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 
