@@ -130,7 +130,7 @@ def test_uncertainty_matches_error_near_and_far_from_a_lens_that_moves():
     found = depth_from_focus(camera_frame(frames, np.random.default_rng(2), noise=1.0), spacing=1)
     error, stated = inner(found.depth - depth), inner(found.uncertainty)
     for part in np.array_split(np.arange(96), 3):
-        assert 0.45 < rms(error[:, part]) / rms(stated[:, part]) < 2
+        assert 0.5 < rms(error[:, part]) / rms(stated[:, part]) < 2
 
 
 @pytest.mark.parametrize(("measure", "least"), [("multiscale", 0.85), ("sml", 0.75)])
