@@ -1,6 +1,8 @@
 """The cell of the page on recognition that names a reader's height map, run on files."""
 
+import html
 import re
+import warnings
 from pathlib import Path
 
 import nbformat
@@ -37,7 +39,7 @@ def write(path: Path, part: str, seed: int) -> None:
 def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, object]:
     names: dict[str, object] = {"mine": str(mine), "labelled": str(labelled)}
     names |= {"pixel_size": pixel_size, "noise": 1.0, "np": np, "re": re, "tifffile": tifffile}
-    names |= {"Path": Path, "recognition": recognition}
+    names |= {"Path": Path, "recognition": recognition, "html": html, "warnings": warnings}
     exec(CELLS["rec-use"], names)
     return names
 
@@ -53,6 +55,24 @@ def test_a_map_of_the_reader_is_named_by_labelled_maps(tmp_path, part, ending, p
     write(mine, part, 99)
     names = run_cell(mine, tmp_path / "labelled", pixel_size)
     assert names["answer"]["name"].tolist() == [part]
+
+
+def test_unit_of_pixel_size_is_read_from_file(tmp_path):
+    for k, name in enumerate(PARTS):
+        for seed in range(2):
+            write(tmp_path / "labelled" / name / f"{seed}.ome.tif", name, 10 * k + seed)
+    mine, heights = tmp_path / "mine.ome.tif", height("cone", 99).astype(np.float32)
+    distances = []
+    for size, unit in ((4.0, "µm"), (4e-3, "mm"), (4000.0, "nm")):
+        scale = {"PhysicalSizeX": size, "PhysicalSizeXUnit": unit}
+        tifffile.imwrite(mine, heights, ome=True, metadata={"axes": "YX", **scale})
+        answer = run_cell(mine, tmp_path / "labelled", None)["answer"]
+        distances.append(answer["distance"].item())
+    assert distances == pytest.approx(distances[:1] * 3, rel=1e-9)
+    scale = {"PhysicalSizeX": 4.0, "PhysicalSizeXUnit": "inch"}
+    tifffile.imwrite(mine, heights, ome=True, metadata={"axes": "YX", **scale})
+    with pytest.raises(ValueError, match=r"pixel_size of mine\.ome\.tif must be in µm, got inch"):
+        run_cell(mine, tmp_path / "labelled", None)
 
 
 def test_a_map_without_a_pixel_size_asks_for_it(tmp_path):
