@@ -14,7 +14,7 @@ from tests import fuzz
 from tests.laws import unlike
 
 #: Maps, windows and devices: what one row or a row per sample does not fit.
-NO_ROWS = {"Curvature", "Windows", "Profile", "PeakFit", "Stage", "Camera"} | {
+NO_ROWS = {"Curvature", "Windows", "Profile", "PeakFit", "StageModel", "CameraTiming"} | {
     *("Calibration", "ErrorSummary", "Detection", "Micrometer", "StageAffine"),
 }
 
