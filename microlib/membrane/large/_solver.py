@@ -59,14 +59,12 @@ def collocate(
     *,
     tolerance: float,
     max_nodes: int,
-    jacobian: Callable[..., tuple[Array, Array]] | None = None,
 ) -> Any:
     """Return the solution of SciPy's `solve_bvp` over x in [0, 1], or None without convergence."""
     with np.errstate(all="ignore"):
         solution = solve_bvp(
-            right_hand_side, boundary_residual, *guess,
-            fun_jac=jacobian, tol=tolerance, max_nodes=max_nodes,
-        )  # fmt: skip
+            right_hand_side, boundary_residual, *guess, tol=tolerance, max_nodes=max_nodes
+        )
     # NaN is above no tolerance, so that a solution of NaN has the status of a success.
     converged = solution.status == 0 and np.isfinite(solution.rms_residuals).all()
     return solution if converged else None
