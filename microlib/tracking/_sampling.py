@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -69,12 +69,6 @@ def padding(smoothing: float) -> int:
     return int(np.ceil(3 * smoothing)) + _MARGIN
 
 
-@lru_cache(maxsize=64)
-def _grid(width: int, height: int) -> Image:
-    column, row = np.meshgrid(np.arange(width), np.arange(height))
-    return np.stack([column.ravel(), row.ravel(), np.ones(column.size)]).astype(np.float32)
-
-
 def sample(
     image: Image, warp: Array, size: tuple[int, int], *, exact: bool = False
 ) -> tuple[Image, NDArray[np.bool_]]:
@@ -98,11 +92,15 @@ def sample(
     inside : ndarray of bool, shape (height, width)
         Whether the image shows a pixel of the patch.
     """
-    place = warp.astype(np.float32) @ _grid(*size)
-    place = place[:2] / np.maximum(place[2], np.float32(TINY))
-    last = np.array([[image.shape[1] - 1], [image.shape[0] - 1]], np.float32)
-    inside = ((place >= 0) & (place <= last)).all(axis=0).reshape(size[::-1])
-    x, y = np.clip(place, 0, last).reshape(2, *size[::-1])
+    # Sums of columns and rows, because the threads of a matrix product would take longer.
+    column, row = (np.arange(length, dtype=np.float32) for length in size)
+    across, down, shift = warp.astype(np.float32).T[..., None, None]
+    x, y, depth = across * column + (down * row[:, None] + shift)
+    depth = np.maximum(depth, np.float32(TINY))
+    x, y = x / depth, y / depth
+    last_y, last_x = (float(length - 1) for length in image.shape)
+    inside = (x >= 0) & (x <= last_x) & (y >= 0) & (y <= last_y)
+    x, y = np.clip(x, 0, last_x), np.clip(y, 0, last_y)
     if exact and _ROUNDS_POSITIONS:
         return ndimage.map_coordinates(image, [y, x], order=1, mode="nearest"), inside
     return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), inside

@@ -23,9 +23,11 @@ class TrackerSettings:
     min_correlation : float
         Normalized correlation below which an alignment is not the template.
     max_iterations : int
-        Most steps of an alignment at one level. With 8 steps 70 % instead of 80 % of the
-        homographies with 40 % of the template hidden are found (40 pairs of development
-        photographs). With 40 steps no more are found.
+        Most steps of a plain alignment at one level.
+    robust_iterations : int
+        Most steps of a photometric alignment. With 8 steps 70 % instead of 80 % of the homographies
+        with 40 % of the template hidden are found (40 pairs of development photographs). With 40
+        steps no more are found.
     rough_tolerance, tolerance : float
         Motion of the corners (px of the frame) that ends a plain alignment: at a level that another
         level refines, and at the last level. One more step after a motion by 0.05 px would move the
@@ -119,7 +121,8 @@ class TrackerSettings:
     smoothing: float = 1.25
     min_visible: float = 0.25
     min_correlation: float = 0.7
-    max_iterations: int = 20
+    max_iterations: int = 6
+    robust_iterations: int = 20
     rough_tolerance: float = 0.5
     tolerance: float = 0.05
     robust_tolerance: float = 0.01

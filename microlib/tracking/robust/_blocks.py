@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.tracking._geometry import TINY
@@ -99,9 +100,12 @@ def compare(
     `weight` is that of the pixels, and `noise` their standard deviation.
     """
     wt, wg = weight * template, weight * grey
-    products = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey]).astype(np.float64)
-    sums = _members(grey.shape[0]) @ products @ _members(grey.shape[1]).T
-    count, *others = sums.reshape(len(products), -1)
+    sums = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey])
+    for axis in (1, 2):
+        cells = np.add.reduceat(sums, _cells(sums.shape[axis]), axis=axis, dtype=np.float64)
+        count = cells.shape[axis]
+        sums = cells.take(range(1, count), axis) + cells.take(range(count - 1), axis)
+    count, *others = sums.reshape(len(sums), -1)
     t, g, tt, gg, tg = others / np.maximum(count, TINY)
     tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
     return Blocks(
@@ -119,11 +123,10 @@ def compare(
 
 
 @lru_cache(maxsize=64)
-def _members(length: int) -> Array:
-    """Return the matrix, blocks×length, that sums each block of a side: 8, or of 8 px at least."""
-    ends = np.rint(np.linspace(0, length, min(8, max(1, length // 4 - 1)) + 2))
-    at = np.arange(length)
-    return ((at >= ends[:-2, None]) & (at < ends[2:, None])).astype(np.float64)
+def _cells(length: int) -> NDArray[np.intp]:
+    """Return where the cells of a side begin: 9 cells, or fewer of at least 4 px."""
+    blocks = min(8, max(1, length // 4 - 1))
+    return np.rint(np.linspace(0, length, blocks + 2)[:-1]).astype(np.intp)
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

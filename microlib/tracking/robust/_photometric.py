@@ -75,7 +75,7 @@ class PhotometricLevel(Level):
         inliers = inlier_weight(self, grey, weight, noise).ravel()
         coefficients = weighted_least_squares(self.columns, grey.ravel(), inliers)
         steps = 0
-        while steps < settings.max_iterations:
+        while steps < settings.robust_iterations:
             steps += 1
             gain = coefficients[_TEMPLATE].astype(np.float32) @ self.column_slopes
             mean = np.float32(0.5) * (gradient + gain * self.gradient)  # of ESM, as in `_rows`
