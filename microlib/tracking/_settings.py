@@ -99,7 +99,8 @@ class TrackerSettings:
         Standard deviation (px) of the Gaussian window in which gain and bias count as constant.
         With twice as much no more is found.
     blurs : tuple of float
-        Standard deviations (px) of the blurs of the template.
+        Standard deviations (px) of the blurs of the template. With a fourth blur no more templates
+        are found.
     bias_splines : int
         Cubic splines of the bias along a side. With 5 splines 80 % instead of 88 % of the
         homographies with glare are found (40 pairs of development photographs).
@@ -125,7 +126,7 @@ class TrackerSettings:
     robust_iterations: int = 20
     rough_tolerance: float = 0.5
     tolerance: float = 0.05
-    robust_tolerance: float = 0.01
+    robust_tolerance: float = 0.02
     min_agreement: float = 0.95
     min_texture: float = 100.0
     max_sigma: float = 0.15
@@ -151,7 +152,7 @@ class TrackerSettings:
     coarse_smoothing: float = 1.0
     fine_smoothing: float = 0.6
     window: float = 3.5
-    blurs: tuple[float, ...] = (0.0, 1.0, 1.6, 2.5)
+    blurs: tuple[float, ...] = (0.0, 1.2, 2.2)
     bias_splines: int = 6
     covariance_factor: float = 1.5
     residual_smoothing: float = 1.5
