@@ -252,10 +252,9 @@ def main() -> tuple[Tables, Limits]:
     by_probe = summarize(runs, "probe")
     failed = 100 * (by_probe["no outline"] / by_probe["images"])
     held = by_probe["intervals over the models that hold (%)"]
-    radius = by_probe["bias of a (%)"].abs()
     limits: Limits = [
         ("outlines that are not found, worst kind of probe, %", failed.max(), "≤", 4),
-        ("bias of a, worst kind of probe, %", radius.max(), "≤", 5),
+        ("spread of a, worst kind of probe, %", by_probe["spread of a (%)"].max(), "≤", 2),
         ("intervals over the models that hold, worst kind of probe, %", held.min(), "≥", 90),
     ]
     tables = {
