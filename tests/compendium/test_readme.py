@@ -32,7 +32,7 @@ def test_readme_command_reproduces_truth(tmp_path, monkeypatch, capsys, task, te
         # µm; where it starts is not given.
         assert np.nanmedian(np.abs(off - np.nanmedian(off))) < 1.0
     elif task == "calibrate":
-        assert float(re.search(r"misfit (?:of )?([\d.]+)", capsys.readouterr().out)[1]) < 2
+        assert float(re.search(r"([\d.]+) px rms residual", capsys.readouterr().out)[1]) < 0.01
     elif task == "track":
         found = pd.read_csv("track.csv")[["center_x", "center_y"]]
         true = pd.read_csv(FOLDER / "frames_path.csv")[["x_px", "y_px"]]
