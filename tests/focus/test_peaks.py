@@ -120,6 +120,19 @@ def test_peak_width_of_gaussian_profiles_is_their_area_over_height(deviation):
     assert _tiles.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * deviation, rel=0.01)
 
 
+def test_peak_width_does_not_depend_on_ground_without_texture():
+    """The ground fills three quarters of the frame, and has the wide peaks of noise."""
+    rng = np.random.default_rng(9)
+    texture = synthetic.mixed_texture((288, 288), rng, mean=0.0, std=20.0)
+    texture[:, 72:] = 0
+    frames = np.exp(-0.5 * ((np.arange(40.0) - 17) / 2) ** 2)
+    noise = 0.3 * rng.standard_normal((40, 288, 288))
+    tiles = [
+        _tiles.sample_tiles(np.float32(texture * c + n)) for c, n in zip(frames, noise, strict=True)
+    ]
+    assert _tiles.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * 2, rel=0.1)
+
+
 def test_illumination_drift_bias_is_the_shift_of_a_gaussian_by_light():
     """A measure that grows with the square of the light has its vertex nearer to the light."""
     z, fine, deviation = np.arange(15.0), np.linspace(0, 14, 140001), 1.7

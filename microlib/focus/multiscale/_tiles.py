@@ -38,13 +38,19 @@ def peak_width(tiles: Sequence[Image], spread: Spread = map) -> float:
     """Return the equivalent width of the peaks of a stack's focus measure, in frames.
 
     Area of the peak over its height, both above the profile's 20th percentile: the median over the
-    half of the samples that have the higher peaks. One where no peak stands out.
+    samples, weighted by the heights of their peaks. Ground without texture, whose peaks are low and
+    wide, does not count. One where no peak stands out.
     """
     above = np.array(list(spread(_fine_detail, tiles)))
     above -= np.percentile(above, 20, axis=0)
     height = above.max(axis=0)
-    clear = (height >= np.median(height)) & (height > 0)
-    return float(np.median(above.sum(axis=0)[clear] / height[clear])) if clear.any() else 1.0
+    clear = height > 0.1 * np.percentile(height, 99)
+    if not clear.any():
+        return 1.0
+    width, weight = above.sum(axis=0)[clear] / height[clear], height[clear]
+    order = np.argsort(width)
+    share = np.cumsum(weight[order])
+    return float(width[order][np.searchsorted(share, share[-1] / 2)])
 
 
 def _fine_detail(tiles: Image) -> NDArray[np.float32]:
