@@ -106,27 +106,26 @@ def _fold(coefficients: tuple[float, float]) -> float:
 def _radial_at(wanted: Array, coefficients: tuple[float, float]) -> tuple[Array, Array]:
     """Factor and slope of `_radial` at the distorted radius of each undistorted radius.
 
-    Newton's method from the undistorted radius, within a bracket of the root. Up to the fold the
-    factor is at least 4/9. Both are NaN where there is no such radius.
+    Newton's method within a bracket of the root. Up to the fold the factor is at least 4/9. Both
+    are NaN where there is no such radius.
     """
     fold = _fold(coefficients)
     if fold < np.inf:
         reach = fold * _radial(np.array(fold), coefficients)[0]
         wanted = np.where(wanted <= reach, wanted, np.nan)
-    low, high = np.zeros_like(wanted), np.minimum(9 / 4 * wanted, fold)
-    radius = np.minimum(wanted, high)
+    low, high = 0.0, np.minimum(9 / 4 * wanted, fold)
+    radius = np.minimum(wanted / np.maximum(_radial(wanted, coefficients)[0], 4 / 9), high)
     for _ in range(60):
         factor, slope = _radial(radius, coefficients)
         excess = radius * factor - wanted
         low, high = np.where(excess < 0, radius, low), np.where(excess > 0, radius, high)
-        step = np.divide(excess, slope, out=np.full_like(excess, np.inf), where=slope != 0)
-        if not (np.abs(step) > 1e-15 * wanted).any():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            better = radius - excess / slope
+        better = np.where((low <= better) & (better <= high), better, (low + high) / 2)
+        change, radius = np.abs(better - radius), better
+        if not (change > 1e-8 * wanted).any():  # the next would be its square
             break
-        radius = radius - step
-        outside = (radius < low) | (radius > high)
-        if outside.any():
-            radius = np.where(outside, (low + high) / 2, radius)
-    return factor, slope
+    return _radial(radius, coefficients)
 
 
 def undistort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) -> Array:
@@ -266,10 +265,9 @@ def project_points(
     # and an outer product, and so is its inverse.
     with np.errstate(divide="ignore", invalid="ignore"):
         radial = sensor * np.where(radius2 > 0, (1 / slope - 1 / factor) / radius2, 0.0)
-    by = {
-        name: (change / factor + (change * sensor).sum(axis=0) * radial) / pitch
-        for name, change in by_undistorted.items()
-    }
+    changes = np.array(list(by_undistorted.values()))
+    along = (changes * sensor).sum(axis=1, keepdims=True)
+    by = dict(zip(by_undistorted, (changes / factor + along * radial) / pitch, strict=True))
     ones = np.ones(len(world))
     return points, by | {"principal_x": first * ones, "principal_y": second * ones}
 
