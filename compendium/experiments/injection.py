@@ -1,6 +1,6 @@
-"""A pipette that is led by sight onto a simulated egg and presses it to a depth.
+"""Visual servoing of a pipette onto a simulated egg, and pressing to a prescribed depth.
 
-Chapter 6 of the thesis names microinjection as what comes next; nothing of this is in the thesis.
+Chapter 6 of the thesis names microinjection as future work. Nothing of this is in the thesis.
 Lengths are in µm, forces in µN, moduli in MPa; image coordinates in px, y down.
 """
 
@@ -22,19 +22,21 @@ from microlib.embryo import extract_boundary
 from microlib.membrane import indent_capsule
 from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
 
-#: Pixel in the object plane; rows and columns of a frame; its noise in grey levels of 255.
+#: Size of a pixel in the object plane, µm; rows and columns of a frame; standard deviation of the
+#: noise, grey levels.
 PIXEL_SIZE, SHAPE, NOISE = 4.65 / 1.2, (260, 360), 2.0
-#: Grey levels of what is drawn, and the width of its edges, px.
+#: Grey levels of the drawn parts, and the standard deviation of the blurred edges, px.
 _GROUND, _FLUID, _YOLK, _WALL, _GLASS, _EDGE = 195.0, 168.0, 120.0, 60.0, 42.0, 0.9
-#: Directions in which the outline is kept, and solved states between which it is interpolated.
+#: Number of directions of a stored outline, and number of solved states.
 _ANGLES, _STATES = 6001, 24
-#: The force of the strongest state over E h R.
+#: Largest force of a state, in E h R.
 _STRONGEST = 0.06
-#: The pipette is led to so many px over the egg, by test moves of so many px.
+#: Height above the egg to which the pipette is servoed, and length of the test moves, px.
 _HOVER, _TEST = 10.0, 10.0
-#: Small steps begin so many px above the egg, µm long.
+#: Height above the egg at which small steps begin, px, and their length, µm.
 _STANDOFF, _STEP = 3.0, 0.5
-#: Contact: the outline lies so many standard deviations, and px, below the untouched one, twice.
+#: Contact is detected if the outline has sunk by this number of standard deviations and by this
+#: number of px in two frames. The standard deviation is that of this number of frames.
 _SIGMAS, _LEAST_SINK, _STILL_FRAMES = 4.0, 0.015, 5
 #: The dimple deepens by less than the pipette advances, so that a step of this share of the depth
 #: that is left does not pass the target.
@@ -42,7 +44,7 @@ _SHARE = 0.85
 
 
 class Egg:
-    """The capsule of `indent_capsule` under a pipette, from before contact on.
+    """A capsule under a pipette, solved by `indent_capsule` and drawn.
 
     Parameters
     ----------
@@ -52,9 +54,9 @@ class Egg:
     Attributes
     ----------
     contact, home : ndarray, shape (2,)
-        Where the pipette's end touches on the axis, and where it is at the start, px.
+        Positions of the pipette's end at contact and at the start, px.
     depth : PchipInterpolator
-        Depth of the dimple over the way since contact.
+        Depth of the dimple against the advance since contact, µm.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -62,8 +64,10 @@ class Egg:
         self._radius, self._thickness = rng.uniform(520.0, 660.0), 3.0
         self._half_width = rng.uniform(18.0, 32.0)
         law = "neo-hooke" if rng.random() < 0.5 else "mooney-rivlin"
-        way, depth, outline = self._solve(rng.uniform(1.01, 1.08), law)
-        self.depth, self._outline = (PchipInterpolator(way, values) for values in (depth, outline))
+        advance, depth, outline = self._solve(rng.uniform(1.01, 1.08), law)
+        self.depth, self._outline = (
+            PchipInterpolator(advance, values) for values in (depth, outline)
+        )
         rows, columns = SHAPE
         self.contact = np.array([(columns - 1) / 2, 0.45 * rows]) + rng.uniform(-6, 6, 2)
         self.home = self.contact + rng.uniform((-20, -45), (20, -35))
@@ -78,40 +82,41 @@ class Egg:
         self._inner = _FLUID + yolk * (_YOLK - _FLUID + 8.0 * grain / grain.std())
 
     def _solve(self, inflation: float, law: str) -> tuple[NDArray, NDArray, NDArray]:
-        """Return way, depth and outline of the states from untouched on.
+        """Return advance since contact, depth and outline of the states.
 
         The modulus is 1 MPa: the shape depends on the force over the modulus alone.
         """
         egg: Any = {"modulus": 1.0, "capsule_radius": self._radius, "thickness": self._thickness}
         egg |= {"probe_half_width": self._half_width, "inflation": inflation}
         egg |= {"poisson_ratio": 0.5, "law": law}
-        # Pressing raises the pressure, so that less force never lays the wall on the whole face.
+        # Pressing raises the pressure, so that a smaller force does not flatten the wall on the
+        # whole face of the pipette.
         whole_face = np.pi * self._half_width**2 * indent_capsule(0.0, **egg).pressure
         strongest = _STRONGEST * self._thickness * self._radius
         angle = np.linspace(0.0, np.pi, _ANGLES)
         states = [(0.0, 0.0, np.full(_ANGLES, self._radius))]
-        # Until the wall lies on the whole face, 3 to 8 µm after the first touch, the states are
-        # interpolated.
+        # The states are interpolated until the wall is flat on the whole face, 3 to 8 µm after
+        # contact.
         for force in np.geomspace(1.02 * whole_face, strongest, _STATES):
             try:
                 state = indent_capsule(float(force), **egg)
-            except ValueError:  # what does not carry its load at some step does at the next
+            except ValueError:  # the solver does not converge for a few forces
                 continue
             # The middle under the probe, then the meridian down to the plate.
             r, z = np.append(0.0, state.r), np.append(state.z[0], state.z) - self._radius
             order = np.argsort(np.arctan2(r, z), kind="stable")
             own = np.interp(angle, np.arctan2(r, z)[order], np.hypot(r, z)[order])
             states.append((state.approach, state.depth, own))
-        way, depth, outline = zip(*states, strict=True)
-        return np.array(way), np.array(depth), np.array(outline)
+        advance, depth, outline = zip(*states, strict=True)
+        return np.array(advance), np.array(depth), np.array(outline)
 
-    def way(self, tip: NDArray) -> float:
-        """Return how far a pipette whose end is at `tip` has come since contact; zero before."""
+    def advance(self, tip: NDArray) -> float:
+        """Return the advance since contact of a pipette whose end is at `tip`, µm, or 0."""
         return max(0.0, float(tip[1] - self.contact[1]) * PIXEL_SIZE)
 
     def frame(self, tip: NDArray) -> NDArray[np.uint8]:
         """Draw the scene with the pipette's end at `tip`, px."""
-        outline = self._outline(self.way(tip))
+        outline = self._outline(self.advance(tip))
         upright = 1 / np.hypot(1.0, np.gradient(outline, np.pi / (_ANGLES - 1)) / outline)
         inside = (outline[self._place] - self._distance) * upright[self._place] / PIXEL_SIZE
         half = self._thickness / PIXEL_SIZE / 2
@@ -127,7 +132,7 @@ class Egg:
 
 @dataclass(frozen=True)
 class Sight:
-    """What one frame shows: the pipette's end, the wall's outline and the circle through it, px."""
+    """End of the pipette, outline of the wall and circle through the outline in a frame, px."""
 
     tip: NDArray
     outline: NDArray
@@ -140,7 +145,7 @@ class Sight:
         return float(self.tip[1] - self.outline[:, 1].min())
 
     def sunk(self, reference: Sight) -> float:
-        """Return how far the outline near the pipette lies below another's circle, px."""
+        """Return the mean depth of the outline near the pipette below a reference circle, px."""
         x, y = self.outline.T
         across = x - reference.center[0]
         near = np.abs(across) < 0.25 * reference.radius
@@ -149,22 +154,22 @@ class Sight:
 
 
 def see(image: NDArray) -> Sight:
-    """Find pipette and egg; a `ValueError` of `extract_boundary` says what is not there."""
-    found = extract_boundary(image, direction="top", dimple=False)
-    seen = ~found.under_probe
-    x, y = found.x[seen], found.image_height - 1 - found.y[seen]
-    # x² + y² = 2 x x₀ + 2 y y₀ + (R² − x₀² − y₀²), linear in what is sought.
+    """Find pipette and egg. `extract_boundary` raises a `ValueError` if one is missing."""
+    boundary = extract_boundary(image, direction="top", dimple=False)
+    visible = ~boundary.under_probe
+    x, y = boundary.x[visible], boundary.image_height - 1 - boundary.y[visible]
+    # x² + y² = 2 x x₀ + 2 y y₀ + (R² − x₀² − y₀²) is linear in the unknowns.
     design = np.column_stack([2 * x, 2 * y, np.ones_like(x)])
     x0, y0, rest = np.linalg.lstsq(design, x**2 + y**2, rcond=None)[0]
     radius = float(np.sqrt(rest + x0**2 + y0**2))
-    return Sight(np.array(found.probe.tip), np.column_stack([x, y]), np.array([x0, y0]), radius)
+    return Sight(np.array(boundary.probe.tip), np.column_stack([x, y]), np.array([x0, y0]), radius)
 
 
 class TipTracker:
-    """Finds the pipette's end in each frame anew, in the form that `servo` takes."""
+    """Finds the pipette's end in each frame, with the interface that `servo` expects."""
 
     def track(self, frame: NDArray) -> Any:
-        """Return the pipette's end, px, known to 0.02 px."""
+        """Return the pipette's end, px, with a standard deviation of 0.02 px."""
         try:
             tip, reason = see(frame).tip, ""
         except ValueError as error:
@@ -175,31 +180,31 @@ class TipTracker:
 
 
 def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
-    """Bring a pipette over an egg, down to contact, and press it to a depth.
+    """Move a pipette above an egg, lower it to contact, and press to a prescribed depth.
 
     Parameters
     ----------
     seed : int
-        Of egg, pipette, target and the camera's mounting.
+        Seed of egg, pipette, target depth and orientation of the camera.
     press_step : float
         Longest step after contact, µm.
 
     Returns
     -------
     dict
-        ``log`` (a data frame: time, phase, depth as seen and as it truly is), ``pictures`` (at the
-        start, at contact and at the target), ``late`` (how far after the true contact it was seen,
-        µm), ``depth error`` (relative, at the target), ``target`` (µm) and the number of
-        ``frames``.
+        ``log`` (a data frame: time, phase, measured and true depth), ``pictures`` (at the start, at
+        contact and at the target), ``contact`` (time of detection, s), ``late`` (advance since the
+        true contact at its detection, µm), ``depth error`` (relative, at the target), ``target``
+        (µm) and the number of ``frames``.
 
     Raises
     ------
     ValueError
-        If the pipette or the egg is not seen, or contact does not come where it should.
+        If the pipette or the egg is not found, or no contact is detected near the egg.
     """
     rng = np.random.default_rng([seed, 81])
     egg = Egg(rng)
-    last = 0.85 * float(egg.depth.x[-1])  # of the ways that the states reach
+    last = 0.85 * float(egg.depth.x[-1])  # below the largest advance of the solved states
     target = rng.uniform(18.0, float(egg.depth(last)))
     jacobian = turned(rng.uniform(0, 2 * np.pi), 1 / PIXEL_SIZE, bool(rng.random() < 0.5))
     workstation = SimulatedWorkstation(
@@ -217,20 +222,20 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
         workstation, TipTracker(), over, travel=600.0, test_move=_TEST * PIXEL_SIZE, tolerance=0.25
     )
     if run.reason:
-        raise ValueError(f"the pipette was not brought over the egg: {run.reason}")
+        raise ValueError(f"the pipette did not reach the egg: {run.reason}")
     origin = workstation.stage.position()
     down = np.linalg.solve(run.jacobian, (0.0, 1.0 / PIXEL_SIZE))
     rows: list[dict[str, Any]] = []
     pictures = [first]
 
     def look(advance: float, phase: str) -> tuple[Sight, dict[str, Any]]:
-        """Bring the pipette forward to `advance`, µm from above the egg, and look."""
+        """Move the pipette to `advance`, µm below its position above the egg, and take a frame."""
         workstation.stage.move_to(origin + down * advance)
         while workstation.stage.moving():
             workstation.clock.sleep(0.002)
         frame, time = workstation.camera.snap()
         pictures.append(frame)
-        depth = float(egg.depth(egg.way(workstation.feature)))
+        depth = float(egg.depth(egg.advance(workstation.feature)))
         rows.append({"time_s": time, "phase": phase, "depth_um": np.nan, "true_depth_um": depth})
         return see(frame), rows[-1]
 
@@ -251,9 +256,9 @@ def press(seed: int, *, press_step: float = 15.0) -> dict[str, Any]:
                 sinking = 0
                 still.append(sunk)
         if advance > gap + 2 * PIXEL_SIZE:
-            raise ValueError("no contact is seen where the egg should be touched")
+            raise ValueError("no contact is detected at the egg")
         advance += _STEP
-    late = egg.way(workstation.feature)
+    late = egg.advance(workstation.feature)
     at_contact = len(pictures) - 1
 
     seen = 0.0

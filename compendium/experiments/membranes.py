@@ -1,8 +1,8 @@
-"""Beyond the thesis: which membrane draws the printed outline, and what modulus it supports.
+"""Membranes with the printed radius and depth: their outlines and their moduli.
 
-Table 5.6 reads one radius and one depth off the outline and puts them into one formula. Here the
-same two lengths meet membranes that `microlib.membrane` solves, with what the thesis does not
-print drawn from priors.
+The thesis computes the modulus of Table 5.6 from one radius and one depth by one formula. This
+module solves other membranes with the same radius and depth. The quantities that the thesis does
+not print are drawn from priors.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from microlib.membrane import (
     indentation_force,
 )
 
-#: Flat discs with a clamped rim, under the thesis' pressure F/(π a²) unless they say otherwise. Two
-#: per cent of stretch and five of the rim are examples; nobody measured either.
+#: Flat discs with a clamped rim. Their pressure is F/(π a²), as in the thesis, unless it is given.
+#: The stretch of 2 % and the inset of 5 % are examples and were not measured.
 DISCS: dict[str, dict[str, Any]] = {
     "neo-Hooke": {},
     "Hooke": {"law": "hooke"},
@@ -41,14 +41,16 @@ DISCS: dict[str, dict[str, Any]] = {
     "stretched by 2 % before": {"pretension": 0.02},
     "rim drawn in by 5 %": {"rim_inset": 0.05},
 }
-#: Their forces in modulus × thickness × radius: dimples a tenth to a half of the radius deep.
+#: Forces on the discs, in modulus × thickness × radius. Dimples of most discs are a tenth to a half
+#: of the radius deep.
 _LOADS = np.geomspace(2e-3, 0.5, 12)
-#: Radius of an egg's chorion where one value is wanted, the middle of the prior, µm.
+#: Radius of the chorion where a single value is needed: the middle of the prior, µm.
 EGG = 600.0
 LAWS = ("neo-hooke", "hooke", "mooney-rivlin")
-#: What the thesis does not print, each drawn evenly between two ends: lengths in µm, stretches and
-#: inset as in `microlib.membrane`, pressure below a disc in F/(π a²). The laws are alike, E is even
-#: in its logarithm, and the crest's place is even over `crest_reach`.
+#: Priors of the quantities that the thesis does not print. Each is uniform between two limits:
+#: lengths in µm, stretches and inset as in `microlib.membrane`, pressure below a disc in F/(π a²).
+#: The laws have equal probabilities, ln E is uniform, and the place of the crest is uniform over
+#: `crest_reach`.
 PRIORS: dict[str, tuple[float, float]] = {
     "thickness": (0.8 * INPUTS["thickness"], 1.2 * INPUTS["thickness"]),
     "probe_half_width": (0.85 * INPUTS["probe_half_width"], 1.15 * INPUTS["probe_half_width"]),
@@ -58,26 +60,27 @@ PRIORS: dict[str, tuple[float, float]] = {
     "pretension": (0.0, 0.05),
     "rim_inset": (0.0, 0.05),
 }
-#: Height in px within which a crest is level: the finest that the image shows.
+#: Height in px within which a crest is level, the resolution of the image.
 _LEVEL = 1.0
-#: Solved states behind each law. With 36 and 48 the five printed quantiles are the same.
+#: Number of solved states of each law. With 36 and 48 states the printed quantiles are the same.
 _STATES = {"capsule": 24, "disc": 30}
-#: Force in modulus × thickness × egg radius that dents a capsule by about a fifth of its radius,
-#: for the inflation λ: 0.05 + 1.1 (λ − 1), found by trial; and how far the logarithm of the force
-#: is drawn to either side. For a disc, the ends of the force in modulus × thickness × rim radius.
+#: Force in modulus × thickness × capsule radius that makes a dimple of about a fifth of the radius:
+#: 0.05 + 1.1 (λ − 1) for the inflation λ, determined by trial. The logarithm of the force is drawn
+#: within the reach on either side. For a disc, the limits of the force in modulus × thickness × rim
+#: radius.
 _USUAL_LOAD, _LOAD_REACH = (0.05, 1.1), 0.7
 _DISC_LOADS = (0.06, 0.9)
 
 
 def modulus_ratios(disc: str) -> pd.Series:
     """Return a disc's modulus over that of (4.7), by the relative depth w_d/a that a load makes."""
-    a, found = INPUTS["rim_radius"], {}
+    a, ratios = INPUTS["rim_radius"], {}
     for load in _LOADS * thesis.MEMBRANE["thickness"] * a:  # µN, for a modulus of 1 MPa
         state = indent_disc(load, a, modulus=1.0, **thesis.MEMBRANE, **DISCS[disc])
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
             by_formula = indentation_force(1.0, a, state.depth, **thesis.MEMBRANE)
-        found[state.depth / a] = float(by_formula / load)
-    return pd.Series(found)
+        ratios[state.depth / a] = float(by_formula / load)
+    return pd.Series(ratios)
 
 
 def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray]:
@@ -94,27 +97,27 @@ def shapes(radius: float, depth: float) -> dict[str, tuple[float, NDArray, NDArr
     r = np.linspace(c, radius, 400)
     profile = dimple_profile(r, radius, depth, probe_half_width=c)
     with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-        found = {"profile (4.2)": (thesis.modulus(radius, depth), r, -profile)}
+        models = {"profile (4.2)": (thesis.modulus(radius, depth), r, -profile)}
     discs = {"disc, neo-Hooke": {}, "disc, Hooke": {"law": "hooke"}}
     for name, how in (discs | {"disc, taut by 100 %": {"pretension": 1.0}}).items():
         settings: dict[str, Any] = thesis.MEMBRANE | how
         modulus = disc_modulus(thesis.FORCE, radius, depth, **settings)
         state = indent_disc(thesis.FORCE, radius, modulus=modulus, **settings)
-        found[name] = modulus, state.r, state.z - state.z[-1]
+        models[name] = modulus, state.r, state.z - state.z[-1]
     for law in LAWS[:2]:
         egg = capsule_modulus(
             thesis.FORCE, radius, depth, capsule_radius=EGG, law=law, **thesis.MEMBRANE
         )
         crest = int(np.argmax(egg.state.z)) + 1
         meridian = egg.state.r[:crest], egg.state.z[:crest] - egg.state.z[crest - 1]
-        found[f"capsule, {law.title()}"] = egg.modulus, *meridian
-    return found
+        models[f"capsule, {law.title()}"] = egg.modulus, *meridian
+    return models
 
 
 def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
-    """Return E (MPa) of membranes with an outline's radius and depth, and how far off they are.
+    """Return E (MPa) of membranes with the radius and depth of an outline, and their deviations.
 
-    The ``largest`` and the ``rms`` departure from its left half are shares of the depth.
+    The ``largest`` and the ``rms`` deviation from the left half are shares of the depth.
     """
     r, z = left_half(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
@@ -126,7 +129,7 @@ def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
 
 
 def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float]:
-    """Return radius, depth and rms distance (µm) of the nearest (4.2) with a level shoulder."""
+    """Return radius, depth and rms deviation (µm) of the best (4.2) with a level shoulder."""
     c = INPUTS["probe_half_width"]
 
     def off(values: NDArray) -> NDArray:
@@ -134,12 +137,12 @@ def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float]:
         return z - top + dimple_profile(np.clip(r, c, radius), radius, depth, probe_half_width=c)
 
     start = [r.max() / 2, np.ptp(z), z.max()]
-    found = least_squares(off, start, bounds=([1.1 * c, 1.0, -np.inf], np.inf))
-    return *found.x[:2].tolist(), float(np.sqrt(np.mean(found.fun**2)))
+    fit = least_squares(off, start, bounds=([1.1 * c, 1.0, -np.inf], np.inf))
+    return *fit.x[:2].tolist(), float(np.sqrt(np.mean(fit.fun**2)))
 
 
 def crest_reach(curve: GaussianSum) -> tuple[float, float]:
-    """Return the least and largest radius of the left crest, µm: where it is level to a pixel."""
+    """Return the limits of the radius of the left crest, µm, within which it is level to 1 px."""
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
     x = np.linspace(curve.domain[0], dimple.bottom[0], 4000)
     below = np.flatnonzero(curve(x) < dimple.rim[1] - _LEVEL)
@@ -152,7 +155,7 @@ def crest_reach(curve: GaussianSum) -> tuple[float, float]:
 def modulus_posterior(
     rng: np.random.Generator, membrane: str, crest: tuple[float, float], draws: int = 20_000
 ) -> pd.DataFrame:
-    """Draw what modulus the printed radius and depth support, over all that is not printed.
+    """Draw moduli of membranes with the printed radius and depth, over the priors.
 
     Parameters
     ----------
@@ -163,7 +166,7 @@ def modulus_posterior(
     crest : tuple of float
         Least and largest radius of the crest, from `crest_reach`, µm.
     draws : int
-        How many.
+        Number of draws.
 
     Returns
     -------
@@ -174,11 +177,12 @@ def modulus_posterior(
 
     Notes
     -----
-    Lengths over the size L of the membrane, R or a, depend on F/(E h L), c/L and the stretches
-    alone. States are solved on a quasi-random set of these, and the logarithms of w_d/L and a/L
-    interpolated between them. A draw of them has the printed depth at one L only, w_d over w_d/L;
-    given that, its weight is the prior of L, of c and of a, times L² from the change of (L, c) to
-    (w_d, c/L). A prior of E that is even in ln E is one that is even in ln F/(E h L).
+    The ratios w_d/L and a/L, where L is the size of the membrane (R or a), depend on F/(E h L), c/L
+    and the stretches alone. States are solved for a quasi-random set of these arguments, and the
+    logarithms of w_d/L and a/L are interpolated between the states. A draw of the arguments has the
+    printed depth at a single size L. Its weight is the prior of L, of c and of a, times L² from the
+    change of variables from (L, c) to (w_d, c/L). A uniform prior of ln E is a uniform prior of
+    F/(E h L) in its logarithm.
     """
     _, depth = printed_dimple()
     kinds = ["rim_radius", "probe_half_width"]
@@ -189,16 +193,16 @@ def modulus_posterior(
         places, logs = _solved_states(membrane, law, crest)
         unit = rng.random((draws, places.shape[1]))
         if membrane == "capsule":
-            unit[:, 0] = np.sqrt(unit[:, 0])  # even in the inflation, see _inputs
+            unit[:, 0] = np.sqrt(unit[:, 0])  # the inflation is uniform, see _inputs
         shape = np.exp(RBFInterpolator(places, logs, kernel="quintic", degree=2)(unit))
         size = depth / shape[:, 0]
-        found = pd.DataFrame(_inputs(membrane, unit, crest)).assign(law=law, size=size)
-        found["probe_half_width"] = found.pop("slenderness") * size
-        found["rim_radius"] = shape[:, -1] * size if membrane == "capsule" else size
+        candidates = pd.DataFrame(_inputs(membrane, unit, crest)).assign(law=law, size=size)
+        candidates["probe_half_width"] = candidates.pop("slenderness") * size
+        candidates["rim_radius"] = shape[:, -1] * size if membrane == "capsule" else size
         if membrane == "capsule":
-            found["capsule_radius"] = size
-        inside = [found[name].between(*ends) for name, ends in limits.items()]
-        parts.append(found.assign(weight=np.all(inside, axis=0) * size**2))
+            candidates["capsule_radius"] = size
+        inside = [candidates[name].between(*ends) for name, ends in limits.items()]
+        parts.append(candidates.assign(weight=np.all(inside, axis=0) * size**2))
     every = pd.concat(parts, ignore_index=True)
     picked = rng.choice(len(every), draws, p=every["weight"] / every["weight"].sum())
     chosen = every.drop(columns="weight").iloc[picked].reset_index(drop=True)
@@ -208,7 +212,7 @@ def modulus_posterior(
 
 
 def _solved_states(membrane: str, law: str, crest: tuple[float, float]) -> tuple[NDArray, NDArray]:
-    """Return where in the unit cube states were solved, and ln w_d/L and ln a/L there."""
+    """Return points of the unit cube with a solved state, and ln w_d/L and ln a/L of the states."""
     unit = qmc.Halton(3 if membrane == "capsule" else 5, seed=0).random(_STATES[membrane])
     rows = pd.DataFrame(_inputs(membrane, unit, crest)).to_dict("records")
     lengths = np.array([_lengths(membrane, law, row) for row in rows])
@@ -217,11 +221,11 @@ def _solved_states(membrane: str, law: str, crest: tuple[float, float]) -> tuple
 
 
 def _inputs(membrane: str, unit: NDArray, crest: tuple[float, float]) -> dict[str, NDArray]:
-    """Return what a state is solved from, lengths in its size, at points of the unit cube."""
+    """Return the arguments of states at points of the unit cube, with lengths in units of L."""
     low, high = PRIORS["probe_half_width"]
     if membrane == "capsule":
         stretch, swing, width = unit.T
-        # States change fastest where a capsule is nearly slack: the root packs them there.
+        # States change fastest where a capsule is nearly slack, so there are more of them there.
         inflation = _between(PRIORS["inflation"], stretch**2)
         base, rise = _USUAL_LOAD
         load = (base + rise * (inflation - 1)) * np.exp(_LOAD_REACH * (2 * swing - 1))
@@ -256,5 +260,5 @@ def _lengths(membrane: str, law: str, inputs: dict[Any, Any]) -> tuple[float, fl
         else:
             state = indent_disc(load, 1.0, **settings)
     except ValueError:
-        return np.nan, np.nan  # no such state: the draws around it have none either
+        return np.nan, np.nan  # draws near a load without a state have no state either
     return state.depth, state.rim_radius

@@ -151,7 +151,7 @@ def modulus_samples(
     means, sigmas = np.array([values[name] for name in _INPUTS]), np.sqrt(np.diag(covariance))
     # The Poisson ratio is the last input and is not log-normal.
     log_variances = np.log1p((sigmas / means)[:-1] ** 2)
-    found = []
+    accepted = []
     for _ in range(200):
         scatter = np.exp(
             rng.normal(-log_variances / 2, np.sqrt(log_variances), (missing, means.size - 1))
@@ -161,10 +161,10 @@ def modulus_samples(
         possible = (drawn["probe_half_width"] < drawn["rim_radius"]) & (ratio > -1)
         possible &= ratio <= 0.5
         drawn = {name: each[possible] for name, each in drawn.items()}
-        found.append(drawn["force"] / force_per_modulus(drawn))
-        missing -= found[-1].size
+        accepted.append(drawn["force"] / force_per_modulus(drawn))
+        missing -= accepted[-1].size
         if missing == 0:
-            return np.concatenate(found)
+            return np.concatenate(accepted)
     raise ValueError(
         "uncertainties must allow draws with a probe narrower than the dimple and poisson_ratio in "
         f"(-1, 0.5], got {dict(uncertainties)}"
