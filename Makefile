@@ -38,7 +38,7 @@ $(STAMP): environment.txt pyproject.toml
 
 # Installed over environment.txt, whose versions extras.txt keeps to. Both name all that is needed; pip
 # would not find the hash of a package that one of them wants with an extra.
-extras: $(STAMP) ## install pymmcore-plus, dask, xarray and zarr into .venv; their tests are skipped without them
+extras: $(STAMP) ## install pymmcore-plus, dask and zarr into .venv; their tests are skipped without them
 	@$(BIN)/pip install --quiet --no-compile --no-deps --require-hashes -r extras.txt
 
 lab: $(STAMP) ## install JupyterLab into .venv and open the notebooks
@@ -116,7 +116,7 @@ UNUSED := s3fs boto3 botocore bcdoc jmespath six
 lock: $(STAMP) ## update the versions in environment.txt, extras.txt and lab.txt (needs uv)
 	@uv pip compile pyproject.toml --extra book --extra test --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet -o environment.txt
-	@uv pip compile pyproject.toml --extra dask --extra microscope --extra xarray --extra zarr --generate-hashes --universal \
+	@uv pip compile pyproject.toml --extra dask --extra microscope --generate-hashes --universal \
 	  --python-version 3.11 --no-header --no-annotate --quiet --constraints environment.txt \
 	  $(addprefix --no-emit-package ,$(UNUSED)) -o extras.txt
 	@uv pip compile pyproject.toml --extra lab --generate-hashes --universal \

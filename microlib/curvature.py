@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import (
-    MICROMETERS,
     Array,
     Result,
     as_array,
@@ -174,9 +173,9 @@ def surface_curvature(
     Raises
     ------
     ValueError
-        If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If the map
-        is an xarray.DataArray with a unit other than µm in ``attrs["units"]``. If `pixel_size` is
-        not positive, `noise` is negative, or `size` is not an odd whole number of at least 3.
+        If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If
+        `pixel_size` is not positive, `noise` is negative, or `size` is not an odd whole number of
+        at least 3.
 
     Warns
     -----
@@ -215,9 +214,6 @@ def surface_curvature(
     (-0.01, 0.0001)
     """
     n = as_integer("size", size, least=3, odd=True)
-    unit = getattr(height, "attrs", {}).get("units") or "µm"  # of an xarray.DataArray
-    if MICROMETERS.get(str(unit)) != 1:
-        raise ValueError(f"height must be in µm, got {unit}")
     z = as_map("height", height)
     pitches = as_positive("pixel_size", pixel_size)
     if pitches.shape not in ((), (2,)):

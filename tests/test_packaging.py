@@ -58,7 +58,7 @@ def test_the_extras_are_locked_and_keep_to_the_environment():
     apart = {n: (v, environment[n]) for n, v in extras.items() if environment.get(n, v) != v}
     assert not apart
     optional = PROJECT["project"]["optional-dependencies"]
-    for group in ("dask", "microscope", "xarray", "zarr"):
+    for group in ("dask", "microscope"):
         for text in optional[group]:
             need = Requirement(text)
             assert need.specifier.contains(extras[need.name]), text

@@ -25,7 +25,7 @@ FILES = (*_MAPS, "surface.ply", "summary.json", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    stack = "TIFF, OME-TIFF, zarr, video, folder or quoted pattern; one frame at each position"
+    stack = "TIFF, OME-TIFF, video, folder or quoted pattern; one frame at each position"
     parser.add_argument("source", metavar="STACK", help=stack)
     options.add_scales(parser, "spacing", "pixel_size")
     options.add_axes(parser)

@@ -50,8 +50,7 @@ def depth_from_focus(
         All frames are held in memory.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
-        spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata or
-        from an xarray.DataArray.
+        spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata.
     spacing : float, optional
         Distance between adjacent frames, µm, given instead of `positions`. The first frame is at 0.
     measure : {"multiscale", "sml"} or callable

@@ -1,4 +1,4 @@
-"""Pixel sizes and positions from the metadata of TIFF and labeled arrays, in µm."""
+"""Pixel sizes and positions from the metadata of TIFF, in µm."""
 
 from __future__ import annotations
 
@@ -91,25 +91,3 @@ def _square(x: float, y: float, name: str) -> float | None:
 
 def _even_positions(step: float, count: int) -> Array | None:
     return step * np.arange(count, dtype=float) if step and np.isfinite(step) else None
-
-
-def label_scale(frames: Any) -> dict[str, Any]:
-    """Return positions, pixel size and corner of a stack from a DataArray's coordinates."""
-    z, y, x = (_coordinate(frames, dim) for dim in frames.dims[:3])
-    if x is None or y is None or min(len(x), len(y)) < 2:
-        return {"positions": z}
-    even = all(np.allclose(np.diff(c), c[1] - c[0], rtol=1e-3, atol=0.0) for c in (x, y))
-    size = _square(np.diff(x).mean(), np.diff(y).mean(), "frames") if even else None
-    corner = (float(x[0]) / size, float(y[0]) / size) if size else (0.0, 0.0)
-    return {"positions": z, "pixel_size": size, "corner": corner}
-
-
-def _coordinate(frames: Any, dim: Any) -> Array | None:
-    """Return a coordinate in µm; None if there is none, or if it is the number of the pixel."""
-    if dim not in frames.coords:
-        return None
-    values, unit = frames.coords[dim].values, frames.coords[dim].attrs.get("units")
-    if values.dtype.kind not in "uif" or (unit is None and (np.diff(values) == 1).all()):
-        return None
-    factor = MICROMETERS.get("µm" if unit is None else str(unit))
-    return None if factor is None else np.asarray(values, dtype=np.float64) * factor

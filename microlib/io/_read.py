@@ -21,7 +21,7 @@ from microlib._common import (
     as_region,
     home_path,
 )
-from microlib.io._arrays import open_array, open_items, open_labeled, open_zarr
+from microlib.io._arrays import open_array, open_items
 from microlib.io._names import in_order
 from microlib.io._pictures import (
     FILMS,
@@ -39,7 +39,6 @@ READERS: dict[str, Callable[[Path, Choice], Stack]] = {
     **dict.fromkeys(PICTURES, lambda path, choice: open_pictures([path])),
     **dict.fromkeys(FILMS, lambda path, choice: open_film(path)),
     **dict.fromkeys((*TIFF, ".btf", ".lsm", ".stk"), open_tiff),
-    "zarr": lambda path, choice: open_zarr(path),  # a folder of any name
 }
 
 
@@ -62,13 +61,10 @@ def read_frames(
 
         - an array of shape (n, rows, cols), or (n, rows, cols, 3) in color, or an object of such a
           `shape` that loads a frame when it is indexed, for example a zarr array;
-        - an xarray.DataArray, whose three dimensions may be in any order if two are x and y, and
-          whose coordinates are positions and pixel size, in µm or in the unit ``attrs["units"]``
-          (coordinates 0, 1, 2, … without a unit are numbers of pixels);
         - a folder or a pattern (``"scan/*.jpg"``) of images, in the natural order of their names;
           EXIF orientation is applied unless it changes within the stack; a folder with one file is
           that file;
-        - a multi-page TIFF or OME-TIFF, a zarr array or a video;
+        - a multi-page TIFF or OME-TIFF, or a video;
         - an iterable, such as a list or a generator, of images or of paths to image files;
         - a `Stack`, which this function returned.
 
@@ -156,8 +152,6 @@ def _open(frames: Frames, choice: Choice) -> Stack:
     """Return the frames as they are stored."""
     if isinstance(frames, (str, PathLike)):
         return _open_path(home_path(frames), choice)
-    if hasattr(frames, "dims") and hasattr(frames, "coords"):  # xarray's
-        return open_labeled(frames)
     if hasattr(frames, "shape") and hasattr(frames, "__getitem__"):
         return open_array(frames)
     if isinstance(frames, Sequence) and all(isinstance(f, (str, PathLike)) for f in frames):
@@ -169,12 +163,11 @@ def _open(frames: Frames, choice: Choice) -> Stack:
 
 
 def _open_path(path: Path, choice: Choice) -> Stack:
-    zarr = any((path / name).exists() for name in ("zarr.json", ".zarray", ".zgroup"))
-    if not zarr and (path.is_dir() or (not path.exists() and glob.has_magic(str(path)))):
+    if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         files = in_order(image_files(path))
         return open_pictures(files) if len(files) > 1 else _open_path(files[0], choice)
     check_exists(path)
-    suffix = "zarr" if zarr else path.suffix.lower()
+    suffix = path.suffix.lower()
     if suffix not in READERS:
         kinds = ", ".join(sorted(READERS))
         raise ValueError(f"{path} has an unknown suffix: microlib reads {kinds}")

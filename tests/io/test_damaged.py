@@ -91,7 +91,7 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     (NO_IMAGE, lambda to, _: [make.content(to / "a.png", b"")]),
     (r"a\.png: no such file", lambda to, _: [to / "a.png"]),
     ("no such file", lambda to, _: [to]),
-    (r"a\.nd2 has an unknown suffix: microlib reads \.avi, .*\.tif, .*zarr",
+    (r"a\.nd2 has an unknown suffix: microlib reads \.avi, .*\.tif, .*\.tiff",
         lambda to, _: make.content(to / "a.nd2", b"abcd")),
     (r"a\.mp4: not a video", lambda to, _: make.content(to / "a.mp4", b"no film")),
     # Arrays.

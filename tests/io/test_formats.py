@@ -51,7 +51,6 @@ SOURCES: dict[str, Callable[[Path, NDArray], object]] = {
     "one buffer": lambda _, frames: make.one_buffer(frames),
     "lazy array": lambda _, frames: make.Lazy(frames),
     "zarr array": zarr_array,
-    "zarr folder": lambda to, frames: zarr_array(to, frames) and to / "a.zarr",
     "list of files": files,
     "list of TIFF": lambda to, frames: [
         make.tiff(to / f"{k}.tif", frame, photometric="miniswhite", compression="zlib")
@@ -270,14 +269,3 @@ def test_channel_is_rejected_where_there_is_none(stack):
     for source in (stack, [stack[0]], read_frames(stack)):
         with pytest.raises(ValueError, match="channel must be left out for frames without that"):
             read_frames(source, channel=0)
-
-
-def test_group_of_zarr_is_rejected_and_its_array_is_read(stack, tmp_path):
-    """As in OME-Zarr, whose arrays are an image at several sizes."""
-    zarr = pytest.importorskip("zarr")
-    group = zarr.open_group(str(tmp_path / "a"), mode="w")
-    for name in "01":
-        group.create_array(name, shape=stack.shape, dtype=stack.dtype)[:] = stack
-    with pytest.raises(ValueError, match="a: it must be an array, got a group of arrays 0, 1"):
-        read_frames(tmp_path / "a")
-    assert_frames(tmp_path / "a" / "0", stack)

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from microlib.focus import depth_from_focus
-from microlib.io import read_frames, read_grey, write_height_tiff, write_ply
+from microlib.io import Stack, read_frames, read_grey, write_height_tiff, write_ply
 from microlib.synthetic import focal_stack, mixed_texture
 from tests.io.make import read_ply
 from tests.laws import SAME, Row, grey, laws_of, um
@@ -19,30 +19,20 @@ SHAPE = (29, 41)
 Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
 
 
-class Labeled:
-    """A stand-in for xarray.DataArray, which may not be installed."""
-
-    dims = ("z", "y", "x")
-
-    def __init__(self, values: np.ndarray, *axes: np.ndarray) -> None:
-        self.values, self.shape = values, values.shape
-        coords = (SimpleNamespace(values=axis, attrs={"units": "µm"}) for axis in axes)
-        self.coords = dict(zip(self.dims, coords, strict=True))
-
-    def __getitem__(self, key: int) -> np.ndarray:
-        return self.values[key]
-
-    def transpose(self, *dims: object) -> "Labeled":
-        assert dims == (..., "y", "x")
-        return self
-
-
-def labeled(u) -> Labeled:
+def placed(u) -> Stack:
     """Return frames whose grey level rises by 3 a column and 1 a row, and thus shows the place."""
     row, column = np.indices(SHAPE)
     frames = np.stack([(3 * column + row) * u.grey + u.grey0] * len(Z))
-    y, x = (start + 2.6 * np.arange(n) * u.um for start, n in ((u.y0_um, 29), (u.x0_um, 41)))
-    return Labeled(frames, u.z0 + Z * u.um, y, x)
+    return with_scale(frames, u.z0 + Z * u.um, 2.6 * u.um, (u.x0_um, u.y0_um))
+
+
+def with_scale(
+    frames: np.ndarray, positions: np.ndarray, pixel_size: float, origin: tuple
+) -> Stack:
+    """Return a stack as from a file with a scale; `origin` is that of the first pixel, µm."""
+    corner = (origin[0] / pixel_size, origin[1] / pixel_size)
+    known = {"positions": positions, "pixel_size": pixel_size, "corner": corner}
+    return replace(read_frames(frames), **known)
 
 
 def reading(**options) -> dict:
@@ -73,7 +63,7 @@ FILES = Row(
 )
 LAWS = {
     "io.read_frames": Row(
-        lambda u: {"frames": labeled(u), "region": (5, 3, 31, 24), "reduce": 4},
+        lambda u: {"frames": placed(u), "region": (5, 3, 31, 24), "reduce": 4},
         {
             "count": SAME, "pixel_size": um, "positions": um.counted_from("z0"),
             "frames": grey.counted_from("grey0"), "origin": um.counted_from("x0_um", "y0_um"),
@@ -99,7 +89,7 @@ UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
 def test_reader_origin_follows_region_and_reduce(region, reduce):
     """The grey level shows the position of a pixel, also where a pixel is the mean of a block."""
-    for source in (labeled(UNITS), read_frames(labeled(UNITS))):
+    for source in (placed(UNITS), read_frames(placed(UNITS))):
         reader = read_frames(source, region=region, reduce=reduce)
         row, column = np.indices(reader.shape)
         x, y = (
@@ -112,8 +102,7 @@ def test_reader_origin_follows_region_and_reduce(region, reduce):
 def test_depth_origin_follows_region_and_reduce():
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
-    y, x = (start + 2.6 * np.arange(n) for n, start in ((80, -5.0), (96, 12.0)))
-    frames = Labeled(stack, 7.0 + Z, y, x)
+    frames = with_scale(stack, 7.0 + Z, 2.6, (12.0, -5.0))
     found = depth_from_focus(frames, region=(6, 4, 80, 70), reduce=2)
     assert found.pixel_size == pytest.approx(5.2)
     # The center of the first block, which is columns 6 and 7, rows 4 and 5.
@@ -127,3 +116,11 @@ def test_origin_follows_a_pixel_size_that_is_set_later():
     assert found.origin == (0.0, 0.0)
     # The center of the first block, in pixels of the frame, which are 1.3 µm.
     assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
+
+
+def test_labeled_array_is_rejected_since_its_axes_may_be_in_any_order():
+    class Labeled(np.ndarray):
+        dims, coords = ("x", "y", "z"), ()
+
+    with pytest.raises(ValueError, match="frames must be an array, got a labeled one: pass its"):
+        read_frames(np.zeros((41, 29, 5)).view(Labeled))
