@@ -244,30 +244,41 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
 def _part_with_dimple(x: Array, y: Array) -> tuple[Array, Array, bool]:
     """Return the outline around its dimple, x ascending, y up from 0, and if y was down."""
     parts = _single_valued_parts(x, y)
-    # The upper part, and the lower part of the inverted outline.
-    upper, lower = (max(parts, key=lambda part: float(np.mean(sign * y[part]))) for sign in (1, -1))
-    above, below = _deepest(y[upper]), _deepest(-y[lower])
-    y_down = below.inside and not above.inside and below.depth > float(np.ptp(y)) / 10
-    part, dip, sign = (lower, below, -1) if y_down else (upper, above, 1)
-    across, up = x[part], sign * y[part]
+    reason = ValueError()
+    # A dimple away from the ends of the upper part, or of the inverted outline's, is the best. The
+    # rim may be at the end if the outline was cut off there.
+    for sign, away_from_ends in ((1, True), (-1, True), (1, False)):
+        part = max(parts, key=lambda part: float(np.mean(sign * y[part])))
+        try:
+            across, up = _around_dimple(x[part], sign * y[part], away_from_ends)
+        except ValueError as error:
+            reason = error
+        else:
+            return across, up, sign < 0
+    raise reason
+
+
+def _around_dimple(x: Array, y: Array, away_from_ends: bool) -> tuple[Array, Array]:
+    """Return the points around the one dimple of a part of an outline; raise if it has none."""
+    dip = _deepest(y)
     # Eight Gaussians describe an outline well within two radii of the bottom.
-    reach = 2 * (across[dip.bottom] - across[dip.rim]) or np.inf
-    near = np.abs(across - across[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
+    reach = 2 * (x[dip.bottom] - x[dip.rim]) or np.inf
+    near = np.abs(x - x[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
     if near.sum() < _MIN_POINTS:
         raise ValueError(
             f"x must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
             "within two radii of where it is deepest"
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.
-    others = [_deepest(half).depth for half in (up[: dip.bottom + 1], up[dip.bottom :])]
-    other = max(*others, 2 * robust_std(up - loess(across, up, span=SPANS[1])))
-    if dip.depth <= 2 * other:
+    others = [_deepest(half).depth for half in (y[: dip.bottom + 1], y[dip.bottom :])]
+    other = max(*others, 2 * robust_std(y - loess(x, y, span=SPANS[1])))
+    if dip.depth <= 2 * other or (away_from_ends and not dip.inside):
         raise ValueError(
             f"y must show one dimple, got one of {dip.depth:.2g} px beside others of "
             f"{other:.2g} px; if x turns back, the points must be in order along the outline"
         )
     # Gaussians fall to zero.
-    return across[near], up[near] - up[near].min(), y_down
+    return x[near], y[near] - y[near].min()
 
 
 def _single_valued_parts(x: Array, y: Array) -> list[NDArray[np.intp]]:

@@ -96,6 +96,8 @@ CLOSED = {
     "chord": (np.full(193, traced().min() - 2), 300, True, True),
     "inner edge": (traced() - 3, 50, False, True),
     "egg": (28 - 60 * np.sqrt(1 - ((ACROSS - 96) / 97) ** 2), 193, True, False),
+    # A dimple is a twentieth of the height of this egg.
+    "large egg": (28 - 400 * np.sqrt(1 - ((ACROSS - 96) / 97) ** 2), 70, False, True),
 }
 
 
