@@ -105,6 +105,8 @@ class Level:
         Standard deviation that white noise of unit variance has at this level.
     mask : ndarray or None
         Share of each pixel of the padded patch that shows the object; None if all of it does.
+    size : float
+        Number of the template's pixels that show the object.
     """
 
     settings: TrackerSettings
@@ -121,6 +123,7 @@ class Level:
     contrast: float
     noise: float
     mask: Image | None
+    size: float
 
     @cached_property
     def weight(self) -> Image:
@@ -132,7 +135,7 @@ class Level:
 
     def visible(self, weight: Image) -> float:
         """Return the share of the template whose pixels have a weight."""
-        return float(weight.mean() / self.weight.mean())
+        return float(weight.sum()) / self.size
 
     @cached_property
     def centered(self) -> Image:
@@ -303,15 +306,14 @@ def make_level(
         share, _ = sample(share, to_frame, (columns + 2 * pad, rows + 2 * pad))
         mask = np.where(share > 0.5, share, np.float32(0))  # most of it is the object
     grey, gradient, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing, mask)
-    weight = 1.0 if mask is None else mask[pad:-pad, pad:-pad].astype(np.float64)
+    weight = np.ones(grey.shape) if mask is None else mask[pad:-pad, pad:-pad].astype(np.float64)
     column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
     points = to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     basis = GENERATORS[motion]
     velocity = basis @ points
     flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
-    weight = np.broadcast_to(weight / np.sum(weight * np.ones_like(grey)), grey.shape)
-    mean = float(np.sum(weight * grey))
+    mean = float(np.average(grey, weights=weight))
     return Level(
         settings=settings,
         halvings=halvings,
@@ -324,9 +326,10 @@ def make_level(
         grey=grey,
         gradient=gradient,
         mean=mean,
-        contrast=float(np.sqrt(np.sum(weight * (grey - mean) ** 2))),
+        contrast=float(np.sqrt(np.average((grey - mean) ** 2, weights=weight))),
         noise=noise_gain(halvings, density, smoothing),
         mask=mask,
+        size=float(weight.sum()),
     )
 
 

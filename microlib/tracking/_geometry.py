@@ -56,7 +56,7 @@ def advance(
     is degenerate beside the pose `start`, where the minimization began.
     """
     after = retract(pose, step, basis)
-    first, before, last = apply_homography(np.stack([start, pose, after]), corners)
+    first, before, last = apply_homography(np.array([start, pose, after]), corners)
     distance = np.nan if degenerate(last, first) else float(np.abs(last - before).max())
     return after, distance
 

@@ -100,7 +100,7 @@ def sample(
     x, y = x / depth, y / depth
     last_y, last_x = (float(length - 1) for length in image.shape)
     inside = (x >= 0) & (x <= last_x) & (y >= 0) & (y <= last_y)
-    x, y = np.clip(x, 0, last_x), np.clip(y, 0, last_y)
+    x, y = np.minimum(np.maximum(x, 0), last_x), np.minimum(np.maximum(y, 0), last_y)
     if exact and _ROUNDS_POSITIONS:
         return ndimage.map_coordinates(image, [y, x], order=1, mode="nearest"), inside
     return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), inside

@@ -6,7 +6,7 @@ A block is a rectangle of 2×2 cells and overlaps its neighbors by half.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Blocks:
         expected = self.noise + self.settings.interpolation_error * self.gg
         return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
 
-    @property
+    @cached_property
     def texture(self) -> Array:
         """Variance of the image over that of the noise, minus 1, in the visible part of a block."""
         most = self.settings.max_block_weight
@@ -100,12 +100,12 @@ def compare(
     `weight` is that of the pixels, and `noise` their standard deviation.
     """
     wt, wg = weight * template, weight * grey
-    sums = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey])
-    for axis in (1, 2):
-        cells = np.add.reduceat(sums, _cells(sums.shape[axis]), axis=axis, dtype=np.float64)
-        count = cells.shape[axis]
-        sums = cells.take(range(1, count), axis) + cells.take(range(count - 1), axis)
-    count, *others = sums.reshape(len(sums), -1)
+    products = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey])
+    rows, columns = (_cells(side) for side in grey.shape)
+    cells = np.add.reduceat(products, columns, axis=2, dtype=np.float64)
+    cells = np.add.reduceat(cells, rows, axis=1)
+    pairs = cells[:, 1:] + cells[:, :-1]
+    count, *others = (pairs[:, :, 1:] + pairs[:, :, :-1]).reshape(len(products), -1)
     t, g, tt, gg, tg = others / np.maximum(count, TINY)
     tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
     return Blocks(
