@@ -6,7 +6,7 @@ import numpy as np
 
 from microlib._common import Array
 from microlib.calibration.detection._image import CELL, GreyImage
-from microlib.calibration.detection._lattice import lattice_metrics
+from microlib.calibration.detection._lattice import lattice_metric
 from microlib.calibration.detection._marks import Marks
 from microlib.calibration.detection._outlines import BLUR, CONTRAST, SLOPES, OutlineFit
 from microlib.calibration.detection._pattern import FittedLattice, Pattern, check_surroundings
@@ -49,10 +49,7 @@ class Circles(Pattern):
         one, or are not apart from each other."""
         ellipses = ellipse_matrices(lattice.marks.outlines)
         steps = lattice.to_image.steps(lattice.marks.grid)
-        metrics = lattice_metrics(ellipses @ ellipses, steps)
-        metric = np.median(metrics, axis=0)
-        deviation = np.linalg.norm(metrics - metric, axis=(1, 2)) / np.linalg.norm(metric)
-        scatter = float(np.median(deviation))
+        metric, scatter = lattice_metric(ellipses @ ellipses, steps)
         if scatter > self.settings.max_shape_scatter:
             raise ValueError(f"image must show marks of one shape, got a scatter of {scatter:.0%}")
         (a, b), (_, c) = np.linalg.inv(metric)  # the inner products of the steps, up to a factor

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import islice
 from typing import NamedTuple
 
 import cv2
@@ -53,12 +54,22 @@ def search_lattices(image: GreyImage, settings: DetectionSettings) -> Iterator[M
     dark = dark_regions(image, settings)
     lattices = grow_lattices(image, dark, settings)[:1]
     if lattices and len(lattices[0].grid) >= settings.only_pattern * len(dark.centers):
-        yield complete(reduce_basis(lattices.pop()._replace(alone=True)), settings)
+        yield from _plane_lattices([lattices.pop()._replace(alone=True)], settings)
     for shown, marks in even_edges(image, settings):
         lattices += grow_lattices(shown, marks, settings)
-    for lattice in sorted(lattices, key=lambda lattice: -len(lattice.grid))[:4]:
+    lattices.sort(key=lambda lattice: -len(lattice.grid))
+    yield from islice(_plane_lattices(lattices, settings), 4)
+
+
+def _plane_lattices(
+    lattices: list[MarkLattice], settings: DetectionSettings
+) -> Iterator[MarkLattice]:
+    """The lattices whose marks have one shape on a plane, with the marks that were missed."""
+    for lattice in lattices:
         with suppress(ValueError):  # no plane has an image with these marks
-            yield complete(reduce_basis(lattice), settings)
+            reduced, scatter = reduce_basis(lattice)
+            if scatter < settings.max_moment_scatter:
+                yield complete(reduced, settings)
 
 
 def grow_lattices(image: GreyImage, marks: Marks, settings: DetectionSettings) -> list[MarkLattice]:
@@ -173,30 +184,34 @@ def _grow(
     return marks
 
 
-def reduce_basis(lattice: MarkLattice) -> MarkLattice:
-    """The lattice with coordinates along its shortest steps on the plane of the pattern.
+def reduce_basis(lattice: MarkLattice) -> tuple[MarkLattice, float]:
+    """The lattice with coordinates along its shortest steps on the plane of the pattern, and the
+    relative scatter of the shapes of its marks there.
 
     A mark at the edge of the image lacks a neighbor, and a lattice that is grown from this mark may
     have a diagonal as a step.
     """
     image, marks, grid, _ = lattice
     steps = map_centers(marks.centers, grid, image.grey.shape).steps(grid)
-    products = np.linalg.inv(np.median(lattice_metrics(marks.moments, steps), axis=0))
+    metric, scatter = lattice_metric(marks.moments, steps)
+    products = np.linalg.inv(metric)
     basis = np.eye(2)  # the new steps in old coordinates, one row each
     for _ in range(8):  # the algorithm of Lagrange and Gauss
         (first, mixed), (_, second) = basis @ products @ basis.T
         if second < first:
             basis, first = basis[::-1], second
         basis[1] -= np.round(mixed / first) * basis[0]
-    return lattice._replace(grid=np.round(grid @ np.linalg.inv(basis)).astype(np.intp))
+    grid = np.round(grid @ np.linalg.inv(basis)).astype(np.intp)
+    return lattice._replace(grid=grid), scatter
 
 
-def lattice_metrics(shapes: Array, steps: Array) -> Array:
-    """Second moments of marks in the coordinates of their lattice, (n, 2, 2).
+def lattice_metric(shapes: Array, steps: Array) -> tuple[Array, float]:
+    """Median second moments of marks in the coordinates of their lattice, (2, 2), and the relative
+    scatter of the moments.
 
-    They are equal for all marks of one shape. For circles and squares, their inverse has the inner
-    products of the steps on the plane of the pattern, up to a factor. The centers alone do not
-    determine these products.
+    The moments are equal for all marks of one shape. For circles and squares, their inverse has the
+    inner products of the steps on the plane of the pattern, up to a factor. The centers alone do
+    not determine these products.
 
     Parameters
     ----------
@@ -206,7 +221,10 @@ def lattice_metrics(shapes: Array, steps: Array) -> Array:
         Derivatives of the image points by the coordinates, one column each, px.
     """
     inverse = np.linalg.inv(steps)
-    return np.asarray(inverse @ shapes @ inverse.transpose(0, 2, 1))
+    metrics = inverse @ shapes @ inverse.transpose(0, 2, 1)
+    metric = np.median(metrics, axis=0)
+    deviation = np.linalg.norm(metrics - metric, axis=(1, 2)) / np.linalg.norm(metric)
+    return metric, float(np.median(deviation))
 
 
 def complete(lattice: MarkLattice, settings: DetectionSettings) -> MarkLattice:

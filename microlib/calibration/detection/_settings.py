@@ -75,6 +75,10 @@ class DetectionSettings:
     min_contrast : float
         Contrast of an added mark over that of the nearest one. At the edge of a chessboard, where
         one of four fields is dark, it is a half.
+    max_moment_scatter : float
+        Relative scatter of the second moments of marks on the plane of a lattice, above which the
+        marks are not fitted. It is 0.12 at most for the marks of boards, and 0.35 to 0.7 for most
+        accidental lattices.
     max_round_rms : float
         Residuals of the outlines over the contrast of the image, above which marks are neither
         round nor square. Noise of three fifths of the contrast leaves such a residual. A fit of all
@@ -184,6 +188,7 @@ class DetectionSettings:
     min_marker_scatter: float = 0.05
     min_correlation: float = 0.7
     min_contrast: float = 0.7
+    max_moment_scatter: float = 0.3
     max_round_rms: float = 1 / 4
     max_shift: float = 1 / 6
     max_blur: float = 1 / 3
