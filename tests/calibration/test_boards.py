@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,8 +14,11 @@ from microlib.calibration import detect_circles, detect_micrometer, detect_patte
 from microlib.calibration.detection import _lattice as lattice
 from microlib.calibration.detection import _pattern as patterns
 from microlib.calibration.detection._boards import Chessboard
+from microlib.calibration.detection._circles import Circles
 from microlib.calibration.detection._image import GreyImage
+from microlib.calibration.detection._pattern import find_pattern
 from microlib.calibration.detection._settings import DetectionSettings
+from microlib.calibration.detection._squares import Squares
 from tests.calibration.scenes import PHOTOGRAPHS, SQUARE, board, camera, chessboard
 
 DETECT = {"circle": detect_circles, "square": detect_squares}
@@ -229,6 +233,20 @@ def test_all_circles_of_a_turned_grid_are_detected_from_any_first_circle(turn, m
         seen = places[cKDTree(truth).query(found.points)[1]]
         steps = np.linalg.lstsq(found.positions - found.positions[0], seen - seen[0])[0]
         np.testing.assert_allclose(steps @ steps.T, np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+@pytest.mark.parametrize("shown", ["circles", "squares", "chessboard"])
+def test_points_do_not_depend_on_the_size_at_which_marks_are_searched(shown, factor):
+    """The squares are bright: they are searched in the negative of the image."""
+    kinds = {"circles": Circles, "squares": Squares, "chessboard": Chessboard}
+    image = GreyImage.from_levels(PHOTOGRAPHS[shown].astype(np.float32))
+    settings = DetectionSettings()
+    reduced = replace(settings, max_pixels=image.grey.size / (factor - 0.5) ** 2)
+    (_, found), (_, other) = (find_pattern(image, [kinds[shown](s)]) for s in (settings, reduced))
+    np.testing.assert_array_equal(other.grid, found.grid)
+    # A mark whose center is rounded the other way has other pixels around it.
+    np.testing.assert_allclose(other.points, found.points, atol=0.02)
 
 
 # The kind of pattern

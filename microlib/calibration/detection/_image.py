@@ -39,6 +39,14 @@ class GreyImage:
         ends = self.grey.max() + self.grey.min()
         return GreyImage(ends - self.grey, ends - self.smooth)
 
+    def reduced(self, factor: int) -> GreyImage:
+        """Image with the mean of each square of `factor` × `factor` pixels."""
+        height, width = (n // factor for n in self.grey.shape)
+        whole = self.grey[: height * factor, : width * factor]
+        return self.from_levels(
+            np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+        )
+
     @property
     def last_pixel(self) -> NDArray[np.intp]:
         """Coordinates (x, y) of the last pixel."""

@@ -44,6 +44,15 @@ class MarkLattice(NamedTuple):
     grid: GridIndex
     alone: bool = False
 
+    def enlarged(self, image: GreyImage, factor: int) -> MarkLattice:
+        """The lattice in an image of which the present image is `GreyImage.reduced`."""
+        marks = Marks(
+            centers=(self.marks.centers + 0.5) * factor - 0.5,
+            moments=self.marks.moments * factor**2,
+            areas=self.marks.areas * factor**2,
+        )
+        return self._replace(image=image, marks=marks)
+
 
 def search_lattices(image: GreyImage, settings: DetectionSettings) -> Iterator[MarkLattice]:
     """Lattices of marks, the most likely first.

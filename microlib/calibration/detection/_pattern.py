@@ -158,7 +158,13 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
         If the image shows none. The message has the reason for each pattern.
     """
     faults: dict[str, str] = {}
-    for lattice in patterns[0].search(image):
+    factor = int(np.ceil(np.sqrt(image.grey.size / patterns[0].settings.max_pixels)))
+    searched = image.reduced(factor) if factor > 1 else image
+    for small in patterns[0].search(searched):
+        lattice = small
+        if factor > 1:
+            shown = image if small.image is searched else image.negative()
+            lattice = small.enlarged(shown, factor)
         for pattern in patterns:
             try:
                 return pattern.name, _detect(pattern, lattice)
