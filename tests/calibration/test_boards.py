@@ -271,7 +271,9 @@ def test_images_without_a_pattern_are_rejected(shown, detect):
 
 
 def test_message_of_detect_pattern_has_the_reason_for_each_kind():
-    with pytest.raises(ValueError, match=r"a chessboard, .*; .* a ChArUco board, .*; .* marks"):
+    with pytest.raises(
+        ValueError, match=r"a chessboard, .*; .* a ChArUco board, .*; .* whole squares"
+    ):
         detect_pattern(NO_PATTERN["noise"])
 
 
@@ -296,6 +298,14 @@ def test_detect_pattern_names_the_pattern(shown):
 def test_marks_that_form_no_square_lattice_are_rejected(kind, places, message):
     with pytest.raises(ValueError, match=message):
         DETECT[kind](board(places, kind, 0.25, pitch=26.0)[0])
+
+
+def test_uneven_holes_of_a_grating_are_rejected_though_noise_could_explain_them():
+    """A board has smaller errors than 1.5 % of its pitch, however uncertain its marks are."""
+    holes = np.argwhere(np.ones((13, 9))) + np.random.default_rng(4).normal(0, 0.035, (117, 2))
+    image, _ = board(holes, "square", 0.67, pitch=10.5, ink=35.0, paper=75.0, blur=0.9)
+    with pytest.raises(ValueError, match="regular lattice"):
+        detect_squares(image)
 
 
 FOUR = SQUARE[(SQUARE < 2).all(axis=1)]

@@ -222,8 +222,9 @@ def check_residuals(
     rms = float(np.sqrt((remaining[kept] ** 2).mean()) * inflation) if kept.any() else np.inf
     stated = float(np.sqrt((uncertainty[kept] ** 2).mean())) if kept.any() else 0.0
     pitch = float(np.sqrt(np.median(to_image.scale(positions.mean(axis=1)))))
-    # Residuals that the noise of the marks explains are accepted for any pitch.
-    limit = max(max_residual * pitch, settings.max_noise_ratio * stated)
+    # Residuals that the noise of the marks explains are accepted up to a part of the pitch.
+    noise = min(settings.max_noise_ratio * stated, settings.max_noise_residual * pitch)
+    limit = max(max_residual * pitch, noise)
     if rms > limit or fraction < settings.min_kept:
         raise ValueError(
             f"image must show a regular lattice, got {fraction:.0%} of the marks on one with "

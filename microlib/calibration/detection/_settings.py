@@ -145,9 +145,10 @@ class DetectionSettings:
     max_board_residual : float
         The same for boards, all of whose corners correlate with the drawn board. They need 0.0083
         on 60 photographs, and 0.015 where a lens distorts fields of 14 px beyond the smooth image.
-    max_noise_ratio : float
-        Rms deviation over the uncertainty of the points, up to which it is accepted for any pitch.
-        The noise of the points explains it.
+    max_noise_ratio, max_noise_residual : float
+        Rms deviation over the uncertainty of the points, up to which the noise of the points
+        explains it, and the rms deviation in pitches up to which the noise is accepted. Holes of a
+        grating, 10 px apart and uneven by 0.35 px, deviate by 0.018 to 0.021 of their distance.
     min_kept : float
         Fraction of the marks that are no outliers.
     outlier_limit : float
@@ -216,6 +217,7 @@ class DetectionSettings:
     max_residual: float = 0.012
     max_board_residual: float = 0.03
     max_noise_ratio: float = 3.0
+    max_noise_residual: float = 0.015
     min_kept: float = 3 / 4
     outlier_limit: float = 6.0
     prior_residuals: float = 8.0
