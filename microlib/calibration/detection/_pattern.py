@@ -163,8 +163,8 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
     for small in patterns[0].search(searched):
         lattice = small
         if factor > 1:
-            shown = image if small.image is searched else image.negative()
-            lattice = small.enlarged(shown, factor)
+            polarity = image if small.image is searched else image.negative()
+            lattice = small.enlarged(polarity, factor)
         for pattern in patterns:
             try:
                 return pattern.name, _detect(pattern, lattice)
