@@ -100,7 +100,9 @@ def _fold(coefficients: tuple[float, float]) -> float:
     if discriminant < 0:
         return np.inf
     denominator = np.sqrt(discriminant) - 3 * k1
-    return float(np.sqrt(2) / np.sqrt(denominator)) if denominator > 0 else np.inf
+    return (
+        float(np.sqrt(2 / denominator)) if denominator > 1e-300 else np.inf
+    )  # its square is finite
 
 
 def _radial_at(wanted: Array, coefficients: tuple[float, float]) -> tuple[Array, Array]:
