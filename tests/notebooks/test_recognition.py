@@ -1,8 +1,6 @@
 """The cell of the page on recognition that names a reader's height map, run on files."""
 
-import html
 import re
-import warnings
 from pathlib import Path
 
 import nbformat
@@ -39,7 +37,7 @@ def write(path: Path, part: str, seed: int) -> None:
 def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, object]:
     names: dict[str, object] = {"mine": str(mine), "labelled": str(labelled)}
     names |= {"pixel_size": pixel_size, "noise": 1.0, "np": np, "re": re, "tifffile": tifffile}
-    names |= {"Path": Path, "recognition": recognition, "html": html, "warnings": warnings}
+    names |= {"Path": Path, "recognition": recognition}
     exec(CELLS["rec-use"], names)
     return names
 
