@@ -115,7 +115,7 @@ def _radial_at(wanted: Array, coefficients: tuple[float, float]) -> tuple[Array,
     if fold < np.inf:
         reach = fold * _radial(np.array(fold), coefficients)[0]
         wanted = np.where(wanted <= reach, wanted, np.nan)
-    low, high = 0.0, np.minimum(9 / 4 * wanted, fold)
+    low, high = np.zeros_like(wanted), np.minimum(9 / 4 * wanted, fold)
     radius = np.minimum(wanted / np.maximum(_radial(wanted, coefficients)[0], 4 / 9), high)
     for _ in range(60):
         factor, slope = _radial(radius, coefficients)

@@ -18,8 +18,6 @@ from microlib.microscope import Microscope
 TILTS = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 #: Repetitions on a parallel plane: each takes long, and all say the same.
 PARALLEL_RUNS = 6
-
-
 #: Parameters of the microscope, the three lengths first.
 LENGTHS = ("tube_length", "focal_length", "distance")
 ALL = (*LENGTHS, *list(PARAMETERS)[1:])
