@@ -140,7 +140,8 @@ def detect_circles(image: ArrayLike) -> Detection:
     nearest circles.
 
     An image with only the grid is thresholded. In other images, circles are searched among the
-    closed contours of many grey levels, dark and bright.
+    closed contours of many grey levels, dark and bright. Marks are searched in a smaller copy of an
+    image of more than 2.5 megapixels, where they must be 5 px wide, and are fitted at full size.
 
     Examples
     --------
