@@ -6,13 +6,18 @@ ground behind it.
 
 from __future__ import annotations
 
+import html
+import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
+import tifffile
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
@@ -20,6 +25,7 @@ from scipy.stats import binomtest
 from skimage.measure import label as connected
 
 from compendium.experiments.disc_blur import disc
+from microlib._common import MICROMETERS
 from microlib.curvature import HK_NAMES, hk_labels, surface_curvature
 from microlib.focus import correct_spikes, depth_from_focus
 from microlib.synthetic import mixed_texture
@@ -194,6 +200,28 @@ def describe(labels: NDArray[np.uint8], mean: NDArray) -> NDArray:
 def describe_part(height: NDArray, noise: float, pixel_size: float = PIXEL) -> NDArray:
     """Return the features of a height map, µm, whose unknown heights are filled in first."""
     return describe(*surface_types(fill(height), noise, pixel_size))
+
+
+def describe_file(path: Path, noise: float, pixel_size: float | None) -> NDArray:
+    """Return the features of a height map in a file, OME-TIFF or .npy, with heights in µm.
+
+    The pixel size of an OME-TIFF is that of the file.
+    """
+    if path.suffix == ".npy":
+        height = np.load(path)
+    else:
+        with tifffile.TiffFile(path) as file:
+            height, text = file.asarray(), html.unescape(file.ome_metadata or "")
+        if found := re.search(r'PhysicalSizeX="([^"]+)"', text):
+            (unit,) = re.findall(r'PhysicalSizeXUnit="([^"]+)"', text) or ["µm"]
+            if unit not in MICROMETERS:
+                raise ValueError(f"pixel_size of {path.name} must be in µm, got {unit}")
+            pixel_size = float(found[1]) * MICROMETERS[unit]
+    if pixel_size is None:
+        raise ValueError(f"pixel_size must be given, as {path.name} does not contain it")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("default", "height has a median slope")
+        return describe_part(height, noise, pixel_size)
 
 
 def height_quantiles(height: NDArray) -> NDArray:

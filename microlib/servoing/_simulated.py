@@ -85,10 +85,10 @@ class SimulatedWorkstation:
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
         self.stage = _SimulatedStage(stage)
+        self._now = 0.0
         self.clock = SimpleNamespace(now=lambda: self._now, sleep=self._sleep)
         self.camera = SimpleNamespace(snap=self._snap)
         self._render, self._model, self._rng = render, camera, as_generator("rng", rng)
-        self._now = 0.0
         self._next = -np.inf  # time of the earliest next exposure
 
     @property
