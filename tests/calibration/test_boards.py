@@ -16,7 +16,6 @@ from microlib.calibration.detection import _pattern as patterns
 from microlib.calibration.detection._boards import Chessboard
 from microlib.calibration.detection._circles import Circles
 from microlib.calibration.detection._image import GreyImage
-from microlib.calibration.detection._pattern import find_pattern
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.calibration.detection._squares import Squares
 from tests.calibration.scenes import PHOTOGRAPHS, SQUARE, board, camera, chessboard
@@ -243,7 +242,9 @@ def test_points_do_not_depend_on_the_size_at_which_marks_are_searched(shown, fac
     image = GreyImage.from_levels(PHOTOGRAPHS[shown].astype(np.float32))
     settings = DetectionSettings()
     reduced = replace(settings, max_pixels=image.grey.size / (factor - 0.5) ** 2)
-    (_, found), (_, other) = (find_pattern(image, [kinds[shown](s)]) for s in (settings, reduced))
+    (_, found), (_, other) = (
+        patterns.find_pattern(image, [kinds[shown](s)]) for s in (settings, reduced)
+    )
     np.testing.assert_array_equal(other.grid, found.grid)
     # A mark whose center is rounded the other way has other pixels around it.
     np.testing.assert_allclose(other.points, found.points, atol=0.02)
