@@ -26,7 +26,8 @@ from traitlets.config import Config
 
 from microlib._common import replace_file
 
-#: What a reader sets for other work, and what would change the numbers or the figures here.
+#: Variables of the reader's own environment that would change the numbers or the figures. They are
+#: removed for the kernel.
 PERSONAL = (
     *("PYTHONDEVMODE", "PYTHONOPTIMIZE", "PYTHONSTARTUP", "PYTHONWARNINGS"),
     *("MATPLOTLIBRC", "MPLBACKEND"),

@@ -23,8 +23,8 @@ from microlib.membrane import SmallSlopeWarning
 #: Where the inputs lie that the guides run on without the reader's own: photographs that others
 #: took, and rendered scenes whose truth is known.
 REAL, FOLDER = ROOT / "data" / "real", ROOT / "data" / "synthetic"
-#: Share of the values that must be as near to the truth as is allowed: the edges of a height map,
-#: where a pixel sees two heights, are left to the other twentieth.
+#: Share of the values that must be as near to the truth as is allowed. 5 % of the values may be
+#: further away: at the edges of a height map, a pixel sees two heights.
 SHARE = 0.95
 
 
@@ -255,8 +255,10 @@ def compare(
 
 
 def modulus_of(path: Path, *, force: float, **settings: Any) -> FlatResult:
-    """Return the modulus of the embryo in an image file, as `microlib.embryo.modulus_from_image`
-    does; here, where processes of their own can find it."""
+    """Return the modulus of the embryo in an image file, by `microlib.embryo.modulus_from_image`.
+
+    The function is in a module, because worker processes cannot import from a notebook.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SmallSlopeWarning)
         found: FlatResult = modulus_from_image(read_grey(path), force, **settings)

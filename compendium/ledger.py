@@ -48,7 +48,9 @@ from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
 
-VERDICTS = ("agrees", "disagrees", "cannot tell", "fitted", "input")
+#: The sign of each verdict, which tells it where its color is not seen. The order is that of the
+#: book's tables: what says most about the thesis comes first.
+VERDICTS = {"disagrees": "✗", "cannot tell": "?", "agrees": "✓", "fitted": "≈", "input": "•"}
 COMPARED = ("arithmetic", "simulation", "sentence")
 STAR = "★"
 #: Set to make `check` record a verdict that the book does not state instead of failing.
@@ -82,7 +84,9 @@ class Claim:
     verdict : str
         One of `VERDICTS`: what the book states, and `check` asserts.
     printed : str
-        The number as printed, so that its last place is known; empty if the thesis gives none.
+        The number as printed, so that its last place is known; empty if the thesis gives none. An
+        entry of ``claims.toml`` about a number of another claim has ``printed_in``, the id of that
+        claim, instead.
     compared : str
         One of `COMPARED`; empty if nothing was compared.
     unit : str
@@ -94,10 +98,13 @@ class Claim:
     bound : str
         ``lower`` or ``upper``, where the simulation omits causes of error and gives only a bound.
     tolerance : float
-        Largest difference at which arithmetic still agrees, in `unit`.
+        Largest difference at which arithmetic still agrees, in `unit`: that of the recomputed
+        number from the printed one and, with `corrected`, also from the corrected one. By default
+        it is half a unit in the last place of the printed number, or with `corrected` in the last
+        place of the corrected number.
     reason : str
-        Why the tolerance is not half a unit in the last printed place, or why the limit is what it
-        is where the thesis gives none.
+        Why the tolerance is not the default, or why the limit is what it is where the thesis gives
+        none.
     corrected : str
         The right value where the printed one is proven wrong.
     recomputed, within : float
@@ -171,10 +178,12 @@ class Claim:
             return f"the simulation leaves causes out, so that it gives a {self.bound} bound"
         if self.compared == "simulation":
             return "the printed number must lie in the 95 % interval of the simulation"
-        right = f"{self.corrected}{unit}" if self.corrected else "the printed number"
-        if self.tolerance < 1e-6:
-            return f"the recomputed number must equal {right}"
-        return f"the recomputed number must lie within {self.tolerance:.2g}{unit} of {right}"
+        exact = self.tolerance < 1e-6
+        nearness = "equal" if exact else f"lie within {self.tolerance:.2g}{unit} of"
+        if self.corrected:
+            proven = f"{self.corrected}{unit} is proven"
+            return f"the printed number must {nearness} the recomputed one; {proven}"
+        return f"the recomputed number must {nearness} the printed number"
 
 
 @dataclass(frozen=True)
@@ -193,7 +202,9 @@ class Record:
     unit : str
         Unit of the number.
     verdict : str
-        The verdict; ``result`` for a number without a printed one.
+        The verdict; ``result`` for a number without a printed one. If the book says otherwise and
+        `RECORD_MISMATCHES` is set, the objection follows: ``disagrees: not within 0.05 of 7.5,
+        which the book says``.
     digits : int
         Decimal places to show at most.
     notebook : str
@@ -289,7 +300,13 @@ def claims() -> Mapping[str, Claim]:
     >>> claims()["table-5.6/E"].printed
     '1.3237'
     """
-    return {name: Claim(id=name, **entry) for name, entry in _read("claims.toml").items()}
+    entries, result = _read("claims.toml"), {}
+    for name, entry in entries.items():
+        fields = dict(entry)
+        if other := fields.pop("printed_in", ""):
+            fields["printed"] = entries[other]["printed"]
+        result[name] = Claim(id=name, **fields)
+    return result
 
 
 def claim(id: str) -> Claim:
@@ -565,9 +582,11 @@ def check(
         shown = max(0, 1 - int(Decimal(stated.corrected or stated.printed).as_tuple().exponent))
     verdict, objection = check_stated_verdict(stated, value, low, high)
     if objection and not os.environ.get(RECORD_MISMATCHES):
+        printed = f"printed {stated.printed or stated.limit} {stated.unit}".rstrip()
+        if stated.corrected:
+            printed += f", corrected to {stated.corrected} {stated.unit}".rstrip()
         raise ClaimError(
-            f"claim {id}, {stated.what} ({stated.where}): printed "
-            f"{stated.corrected or stated.printed or stated.limit} {stated.unit}, recomputed "
+            f"claim {id}, {stated.what} ({stated.where}): {printed}, recomputed "
             f"{value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
         )
     verdict = f"{verdict}: {objection}" if objection else verdict
@@ -744,7 +763,8 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     pandas.DataFrame
         One row a claim in the thesis' order: claim, part (from `part_of`),
         where, quantity, printed, recomputed, low, high, unit, verdict, star, fitted, undecided,
-        cause, compared, rule, reason, corrected, says, note, test.
+        cause, compared, rule, reason, corrected, says, note, test. The column verdict has the
+        verdict that ``claims.toml`` states, and not that of a record.
 
     Examples
     --------

@@ -189,9 +189,9 @@ def failures() -> dict[str, str]:
 
 
 def report_failures(ran: Sequence[str] = ()) -> int:
-    """List what failed, also earlier than what has just been run; return the exit status.
+    """List the failed notebooks, and return the exit status.
 
-    If nothing has just been run, what was never run counts as failed, too.
+    The list includes those that were not in this call and, with no `ran`, also those never run.
     """
     lines = []
     for name, message in failures().items():
@@ -222,7 +222,8 @@ def run_own(names: list[str], texts: Sequence[tuple[str, str]], folder: Path) ->
 def run(name: str, key: str) -> tuple[str, bool]:
     """Execute a notebook of the book; what it leaves appears when it has ended, its status last.
 
-    What an earlier run left is removed first, and until then the status is that it did not end.
+    What an earlier run left is removed first. While the notebook runs, its status is that its run
+    did not end.
     """
     source, work = ROOT / "notebooks" / f"{name}.ipynb", BUILD / ".running" / name
     remove(name)

@@ -11,8 +11,6 @@ from IPython.display import HTML
 
 from compendium import ledger
 
-#: What tells a verdict where its color is not seen.
-SIGNS = {"agrees": "✓", "disagrees": "✗", "cannot tell": "?", "fitted": "≈", "input": "•"}
 _LAYOUTS = Path(__file__).resolve().parent.parent / "data" / "thesis" / "tables.toml"
 
 
@@ -54,7 +52,7 @@ def as_printed(name: str) -> HTML:
         rows += f'<tr><th scope="row">{label}</th>{cells}</tr>'
     head = "".join(f'<th scope="col">{text}</th>' for text in layout["columns"])
     verdicts = {one.verdict for one in claims}
-    key = [f"{sign} {verdict}" for verdict, sign in SIGNS.items() if verdict in verdicts]
+    key = [f"{sign} {verdict}" for verdict, sign in ledger.VERDICTS.items() if verdict in verdicts]
     key += [f"{ledger.STAR} depends on something not printed"] * any(one.star for one in claims)
     title = f"{name.replace('-', ' ').capitalize()}. {layout['title']}"
     above = layout.get("above", "The printed number")
@@ -68,7 +66,7 @@ def as_printed(name: str) -> HTML:
 def _cell(claim: ledger.Claim, recomputed: str, named: bool) -> str:
     name = f"{escape(claim.id.rpartition('/')[2].replace('-', ' '))}<br>" if named else ""
     number = recomputed.replace("± ", "±&nbsp;")
-    mark = f"{SIGNS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(claim.star)
+    mark = f"{ledger.VERDICTS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(claim.star)
     between = "<br>" if number else "&nbsp;"
     printed = escape(claim.printed or claim.limit)
     return f"<td>{name}{printed}{between}{verdict_link(claim, mark, up='../')}</td>"

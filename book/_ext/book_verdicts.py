@@ -36,8 +36,6 @@ from compendium import MISSING, ROOT, ledger
 from compendium.tables import verdict_link
 
 CLAIMS = ROOT / "build" / "claims"
-#: Most telling first.
-ORDER = ("disagrees", "cannot tell", "agrees", "fitted", "input")
 #: How a count names the claims that were compared in one way.
 CLASSES = {
     "arithmetic": "compared by arithmetic",
@@ -66,12 +64,14 @@ def count_class(claim: ledger.Claim) -> str:
         return f"with a star {ledger.STAR}"
     if claim.verdict == "agrees":
         return f"{CLASSES[claim.compared]}, without a star"
-    if claim.verdict != "cannot tell":
+    if claim.verdict in ("disagrees", "fitted"):
         return CLASSES[claim.compared]
-    if claim.undecided:
-        return "because the thesis leaves a choice open"
-    missing = "the simulation gives a bound only" if claim.bound else "data are missing"
-    return f"because {missing}"
+    if claim.verdict == "cannot tell":
+        if claim.undecided:
+            return "because the thesis leaves a choice open"
+        missing = "the simulation gives a bound only" if claim.bound else "data are missing"
+        return f"because {missing}"
+    raise ValueError(f"verdict of {claim.id} must be one that is counted, got {claim.verdict!r}")
 
 
 def count_by_class(verdict: str) -> Counter[str]:
@@ -97,7 +97,7 @@ class Counts(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         rows: list[list[Any]] = []
-        for verdict in ORDER:
+        for verdict in ledger.VERDICTS:
             classes = [line(f"{n} {name}") for name, n in count_by_class(verdict).most_common()]
             if verdict == "disagrees":
                 classes.append(line(f"{number_of('causes')} causes in all"))
@@ -162,14 +162,14 @@ class VerdictMap(SphinxDirective):
         parts = []
         for part, total in totals.items():
             pieces = []
-            for verdict, star in product(ORDER, ("unstarred", "starred")):
+            for verdict, star in product(ledger.VERDICTS, ("unstarred", "starred")):
                 if count := counts[part, verdict, star]:
                     piece = {"verdict": verdict, "star": star}
                     query = urlencode(piece | {"part": part.split()[0]})
                     pieces.append(piece | {"count": count, "query": query})
             parts.append((part, pieces, max(totals.values()) - total))
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        context = {"parts": parts, "order": ORDER, "star": ledger.STAR, "page": page}
+        context = {"parts": parts, "order": ledger.VERDICTS, "star": ledger.STAR, "page": page}
         return [raw_html(self.env.app.builder.templates.render("verdict_map.html", context))]
 
 
@@ -177,7 +177,8 @@ class Claims(SphinxDirective):
     """The list of all claims with a filter, those that disagree first."""
 
     def run(self) -> list[nodes.Node]:
-        chosen = sorted(ledger.claims().values(), key=lambda claim: ORDER.index(claim.verdict))
+        order = list(ledger.VERDICTS)
+        chosen = sorted(ledger.claims().values(), key=lambda claim: order.index(claim.verdict))
         head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
         rows = [self.row(claim) for claim in chosen]
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])

@@ -31,7 +31,8 @@ def in_order(files: Sequence[Path]) -> list[Path]:
     stems = [file.stem for file in files]
     if twice := sorted(file.name for file in files if stems.count(file.stem) > 1):
         raise ValueError(f"frames must be one file each, got {twice[0]} and {twice[1]}")
-    # A hyphen in some names is a minus sign; one behind a letter or digit in every name separates.
+    # If the names have different numbers of hyphens, a hyphen is a minus sign. Otherwise a hyphen
+    # after a letter or digit is a separator.
     signed = len({stem.count("-") for stem in stems}) > 1
     separator = r"(?<!\d)\." if signed else r"(?<!\d)\.|(?<=[^\W_])-"
     texts = {file: re.sub(separator, "_", file.stem.casefold()) for file in files}

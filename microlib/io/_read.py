@@ -78,7 +78,8 @@ def read_frames(
         Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
         Index, from zero, of the channel, the time or the series to read. Needed for a TIFF that has
-        more than one axis besides rows and columns.
+        more than one axis besides rows and columns. A TIFF whose metadata declare one channel or
+        one time has the index 0 of it; frames without that axis have none.
 
     Returns
     -------
@@ -128,7 +129,7 @@ def read_frames(
     in_color = isinstance(frames, Stack) if color is None else color
 
     def prepare(frame: NDArray, number: int) -> NDArray:
-        return _reduced(_checked(frame, stack.name(number), part, in_color), by)
+        return _reduced(_converted(frame, stack.name(number), part, in_color), by)
 
     def read() -> Iterator[NDArray]:
         kind = _kind(stack.first)
@@ -179,8 +180,8 @@ def _kind(frame: NDArray) -> str:
     return f"{frame.dtype} of shape {frame.shape}"
 
 
-def _checked(frame: NDArray, name: str, region: Region | None, in_color: bool) -> NDArray:
-    """Return the region of a frame in the colors and the type that are returned."""
+def _converted(frame: NDArray, name: str, region: Region | None, in_color: bool) -> NDArray:
+    """Check a frame; return its region in the colors and the type that are returned."""
     if frame.ndim != 2 and not (frame.ndim == 3 and frame.shape[2] in (3, 4)):
         raise ValueError(f"{name} must be a grey or color image, got shape {frame.shape}")
     if frame.size == 0:

@@ -39,7 +39,8 @@ class Stack(Result, Iterable[Image]):
     pixel_size : float or None
         Side of a pixel in the object plane, µm/px.
     corner : (float, float)
-        x and y of the center of the first pixel, px, from where x and y of the frames are 0.
+        x and y of the center of the first pixel, in pixels of this stack (after `reduce`). They are
+        0 at the center of the first pixel of the frames as stored.
     files : tuple of Path
         The files that are read, in order.
     """

@@ -28,9 +28,11 @@ radius                                                            h = 3 µm, inf
 ====================================  ==========================  =================================
 
 A depth at which a model has no equilibrium raises a `ValueError` in every function. The formulas of
-the thesis have a value at every depth. They warn with a `SmallSlopeWarning` where w_d/a exceeds
-0.1. No clamped disc has a uniform stress. `modulus_uncertainty` and `modulus_samples` compute the
-error of (5.2) that follows from the errors of its inputs.
+the thesis have a value at every depth, and warn with a `SmallSlopeWarning` where w_d/a exceeds 0.1.
+`elastic_modulus`, `finite_slope_modulus`, and `disc_modulus` without pretension reject a depth
+below the thickness, where bending carries most of the force. No clamped disc has a uniform stress.
+`modulus_uncertainty` and `modulus_samples` compute the error of (5.2) that follows from the errors
+of its inputs.
 """
 
 from microlib.membrane._finite_slope import finite_slope_modulus, steepest_depth

@@ -156,7 +156,7 @@ def indentation_force(
     Raises
     ------
     ValueError
-        As for `elastic_modulus`.
+        As for `elastic_modulus`, except that a depth below the thickness is accepted.
 
     Warns
     -----
@@ -211,7 +211,7 @@ def dimple_depth(
     Raises
     ------
     ValueError
-        As for `elastic_modulus`.
+        As for `elastic_modulus`, except that a depth below the thickness is returned.
 
     Warns
     -----
@@ -316,7 +316,7 @@ def membrane_stress(
     Raises
     ------
     ValueError
-        As for `elastic_modulus`.
+        As for `elastic_modulus`, except that a depth below the thickness is accepted.
 
     Examples
     --------

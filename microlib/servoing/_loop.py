@@ -17,16 +17,18 @@ from microlib.servoing._motion import (
     fit_motion,
 )
 
-#: Moves in a row that the image may fail to follow: one can be a bad track, and a second its
-#: correction; a wrong Jacobian, a stuck axis or a frozen frame fails every one.
+#: Comparisons in a row that end the run if the motion in the image deviates in each of them: one
+#: can be a bad track, and a second its correction; a wrong Jacobian, a stuck axis or a frozen frame
+#: makes every comparison deviate.
 _MISMATCHES = 3
 
-#: Only moves longer than this many tolerances are checked: half of such a move is five tolerances.
+#: Shorter moves are summed until they are as long as this many tolerances, and then compared: half
+#: of the sum is five tolerances.
 _LEAST_CHECKED = 10.0
 
 #: Share of the travel that is used: the rest is for the overshoot of a drive. A position beyond the
 #: travel ends the run.
-USED = 0.99
+USABLE_TRAVEL = 0.99
 
 #: Frames after which a target counts as not reachable.
 _MOST_FRAMES = 50
@@ -67,6 +69,11 @@ def put(row: dict[str, Any], name: str, value: Array, unit: str) -> None:
     row[f"{name}_x_{unit}"], row[f"{name}_y_{unit}"] = map(float, value)
 
 
+def lost_text(event: str) -> str:
+    """Return the event of a row without the feature as the beginning of a reason to end the run."""
+    return event if event == "lost" else f"lost: {event}"
+
+
 def add_event(row: dict[str, Any], event: str) -> None:
     """Add an event to those of the row."""
     row["event"] = "; ".join(filter(None, (row["event"], event)))
@@ -87,7 +94,7 @@ class MotionCheck:
 
     def __init__(self, least_checked: float) -> None:
         self._least_checked = least_checked
-        self._origin: Array | None = None
+        self._seen_at: Array | None = None
         self._planned: Array = np.zeros(2)
         self._mismatches = 0
 
@@ -97,21 +104,21 @@ class MotionCheck:
 
     def update(self, measured: Array) -> None:
         """Compare with the measured feature, and end the run after too many mismatches in a row."""
-        if self._origin is None:
-            self._origin = measured
+        if self._seen_at is None:
+            self._seen_at = measured
         size = float(np.linalg.norm(self._planned))
         if size < self._least_checked:
             return
-        deviation = float(np.linalg.norm(measured - self._origin - self._planned))
+        deviation = float(np.linalg.norm(measured - self._seen_at - self._planned))
         self._mismatches = self._mismatches + 1 if deviation > 0.5 * size else 0
         if self._mismatches == _MISMATCHES:
-            moved = np.round(measured - self._origin, 2) + 0.0
+            moved = np.round(measured - self._seen_at, 2) + 0.0
             wanted = np.round(self._planned, 2) + 0.0
             raise EndRun(
-                f"the image does not follow the stage: {_MISMATCHES} moves in a row were off by "
-                f"more than half, the last {moved} px instead of {wanted} px"
+                f"the image does not follow the stage: {_MISMATCHES} comparisons in a row were "
+                f"off by more than half, the last {moved} px instead of {wanted} px"
             )
-        self._origin, self._planned = measured, np.zeros(2)
+        self._seen_at, self._planned = measured, np.zeros(2)
 
 
 class Loop:
@@ -123,21 +130,21 @@ class Loop:
         self.motion = NOT_CALIBRATED
         self.reached = np.zeros(len(options.targets), dtype=bool)
         self._tracker, self._options = tracker, options
-        self._origin: float | None = None
+        self._first_exposure: float | None = None
         self._start: Array = np.zeros(2)
         self._lost = 0
         self._motion_check = MotionCheck(_LEAST_CHECKED * options.tolerance)
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
-        return 0.0 if self._origin is None else self.workstation.clock.now() - self._origin
+        return 0.0 if self._first_exposure is None else self.workstation.clock.now() - self._first_exposure
 
     def run(self, jacobian: Array | None) -> None:
         """Observe, calibrate if there is no Jacobian, and go to the targets."""
         first = self._observe("start", -1)
         self._start = first.position
         if not np.isfinite(first.measured).all():
-            raise EndRun(f"lost: {first.row['event']} in the first frame")
+            raise EndRun(f"{lost_text(first.row['event'])} in the first frame")
         if jacobian is None:
             self._calibrate(first)
         else:
@@ -149,7 +156,7 @@ class Loop:
 
     def _check_targets(self, feature: Array) -> None:
         """End the run if a target is beyond the travel."""
-        travel = USED * self._options.travel
+        travel = USABLE_TRAVEL * self._options.travel
         needed = np.linalg.solve(self.motion.jacobian, (self._options.targets - feature).T).T
         beyond = (np.abs(needed) > travel).any(axis=1)
         if beyond.any():
@@ -163,9 +170,9 @@ class Loop:
         """Take a frame and measure the feature."""
         position = np.asarray(self.workstation.stage.position(), dtype=float)
         frame, exposed = self.workstation.camera.snap()
-        if self._origin is None:
-            self._origin = exposed
-        row = new_row(exposed - self._origin, phase, target)
+        if self._first_exposure is None:
+            self._first_exposure = exposed
+        row = new_row(exposed - self._first_exposure, phase, target)
         self.rows.append(row)
         put(row, "stage", position, "um")
         if reference is not None:
@@ -193,7 +200,7 @@ class Loop:
             observation = self._observe("calibration", -1)
             if not np.isfinite(observation.measured).all():
                 event, size = observation.row["event"], self._options.test_move
-                raise EndRun(f"lost: {event} at a test move of {size:g} µm")
+                raise EndRun(f"{lost_text(event)} at a test move of {size:g} µm")
             observed.append(observation)
         self._report(observed[-1])
         self.motion = fit_motion(
@@ -212,7 +219,7 @@ class Loop:
         """Bring the feature within the tolerance of one target."""
         for _ in range(_MOST_FRAMES):
             observation = self._observe("servo", number, reference)
-            if not self._is_seen(observation):
+            if not self._accept(observation):
                 continue
             if np.linalg.norm(reference - observation.measured) <= self._options.tolerance:
                 self.reached[number] = True
@@ -223,8 +230,12 @@ class Loop:
             self._report(observation)
         raise EndRun(f"target {number} was not reached in {_MOST_FRAMES} frames")
 
-    def _is_seen(self, observation: Observation) -> bool:
-        """Return whether the feature is measured; end the run after too many frames without it."""
+    def _accept(self, observation: Observation) -> bool:
+        """Compare the measured feature with the commands, or count and report a lost one.
+
+        Returns whether the feature is measured. Ends the run after too many frames without it, or
+        if the image does not follow the stage.
+        """
         if np.isfinite(observation.measured).all():
             self._lost = 0
             self._motion_check.update(observation.measured)
@@ -232,7 +243,8 @@ class Loop:
         self._report(observation)
         self._lost += 1
         if self._lost == _MOST_LOST:
-            raise EndRun(f"lost: {observation.row['event']} in {self._lost} frames in a row")
+            event = observation.row["event"]
+            raise EndRun(f"{lost_text(event)} in {self._lost} frames in a row")
         return False
 
     def _move(self, observation: Observation, goal: Array) -> None:
@@ -243,7 +255,7 @@ class Loop:
         if options.longest_move is not None and length > options.longest_move:
             move = move * (options.longest_move / length)
             add_event(observation.row, "limit")
-        travel = USED * options.travel
+        travel = USABLE_TRAVEL * options.travel
         target = np.clip(observation.position + move, self._start - travel, self._start + travel)
         if (target != observation.position + move).any():
             add_event(observation.row, "travel")

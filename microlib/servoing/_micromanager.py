@@ -60,7 +60,7 @@ class MicroManager:
         self.core = core
         self.clock = SimpleNamespace(now=time.monotonic, sleep=time.sleep)
         self.camera = SimpleNamespace(snap=self._snap)
-        self.stage = _EngineStage(core, label)
+        self.stage = _CoreStage(core, label)
 
     def _snap(self) -> tuple[NDArray[Any], float]:
         half = self.core.getExposure() / 2000.0  # of ms
@@ -69,7 +69,7 @@ class MicroManager:
         return self.core.getImage(), start + half
 
 
-class _EngineStage:
+class _CoreStage:
     def __init__(self, core: Any, label: str) -> None:
         self._core, self._label = core, label
 

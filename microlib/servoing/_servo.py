@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, FlatResult, as_array, as_scalar
 from microlib.servoing._control import full_rank, of_two_axes
 from microlib.servoing._devices import EndRun, InterruptGate, check_devices, stop_stage
-from microlib.servoing._loop import USED, Loop, LoopOptions, add_event, new_row, put
+from microlib.servoing._loop import USABLE_TRAVEL, Loop, LoopOptions, add_event, new_row, put
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -123,7 +123,9 @@ def servo(
     timeout : float, optional
         Longest time that a move may take, s.
     progress : callable, optional
-        Called with each row of the log, a dict, as it is complete.
+        Called with each row of the log, a dict, as it is complete. The last row, which is added
+        after the stop, is not sent. If the run ends early, neither is a row that an error leaves
+        incomplete, or the row of a feature that is lost before the first target.
 
     Returns
     -------
@@ -155,8 +157,8 @@ def servo(
     The columns of the log are ``time_s`` from the first exposure; ``phase`` (start, calibration,
     servo, end); ``target``, its number, or −1; ``reference``, ``measured`` in px; ``lost``;
     ``stage``, the encoder before the frame, and ``command``, where it is sent after it, µm;
-    ``latency_s`` from the exposure until the command is known; ``event``. The last row holds where
-    the stage stopped, and why.
+    ``latency_s`` from the exposure until the tracker has answered; ``event``. The last row holds
+    where the stage stopped, and why.
 
     Examples
     --------
@@ -181,7 +183,7 @@ def servo(
         raise ValueError(f"tracker must have a method track, got {type(tracker).__name__}")
     limits = of_two_axes("travel", travel)
     shortest = float(limits.min())
-    longest = USED * shortest
+    longest = USABLE_TRAVEL * shortest
     if longest_move is not None:
         longest = min(longest, as_scalar("longest_move", longest_move, above=0))
     move = min(shortest / 10, longest) if test_move is None else test_move

@@ -20,8 +20,8 @@ Render = Callable[[Array], ArrayLike]
 class SimulatedWorkstation:
     """A camera over a stage, in a time that passes only when it is waited for.
 
-    It is to `servo` what `simulate` is to a controller: the loop is not inside it, but steers it
-    through the calls that a real microscope answers. The stage starts at zero.
+    `simulate` contains the loop. This class contains only the devices; `servo` is the loop. The
+    devices have the calls of a real microscope. The stage starts at zero.
 
     Parameters
     ----------
@@ -32,8 +32,7 @@ class SimulatedWorkstation:
     stage : StageModel
         The model of the stage. Each axis runs at its saturation and none leaves the travel.
     camera : CameraTiming
-        ``snap`` returns one latency after the exposure; each frame is shaken by the jitter. The
-        interval is the shortest time between two exposures.
+        The times and the jitter of the camera.
     rng : numpy.random.Generator or int
         Source of the jitter, or its seed.
     home : array_like, shape (2,), optional

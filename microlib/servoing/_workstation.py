@@ -63,9 +63,10 @@ class CameraTiming:
     Attributes
     ----------
     interval : float
-        Time between exposures, s.
+        Time between exposures, s; in `SimulatedWorkstation` the shortest time.
     latency : float
-        From an exposure until the command computed from it takes effect, s.
+        In `simulate`, time from an exposure until the command computed from it takes effect, s. In
+        `SimulatedWorkstation`, time from an exposure until ``snap`` returns, s.
     jitter : float
         Standard deviation in px of a shake of the whole image, along either axis and anew in each
         frame.

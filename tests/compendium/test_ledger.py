@@ -137,6 +137,8 @@ def test_claim_entry_is_consistent(claim):
     ("id", "value", "options", "message"),
     [
         ("table-5.6/E", 1.31, {}, r"claim table-5\.6/E, .*: printed 1\.3237 MPa, recomputed 1.31 "),
+        ("section-3.2.1/d2", 50, {}, r"printed 84, corrected to 42, recomputed 50 in"),
+        ("table-5.1/square-4X/T_z", 1, {}, r": printed \S+ µm, corrected to 36007\.5 µm, recom"),
         ("table-9.9/x", 1.0, {}, "id must name a claim"),
         ("table-5.6/E", math.nan, {}, "must be finite"),
         ("table-5.6/E", 1.3237, {"interval": (2.0, 3.0)}, "must contain its value"),
@@ -147,6 +149,25 @@ def test_claim_entry_is_consistent(claim):
 def test_check_refuses_wrong_numbers(id, value, options, message):
     with pytest.raises((ledger.ClaimError, ValueError), match=message):
         ledger.check(id, value, **options)
+
+
+def test_rule_of_corrected_claim_judges_printed_number():
+    rule = make(verdict="disagrees", corrected="7.5", unit="µm").rule
+    text = "the printed number must lie within 0.05 µm of the recomputed one; 7.5 µm is proven"
+    assert rule == text
+    rule = make().rule
+    assert rule == "the recomputed number must lie within 0.005 of the printed number"
+
+
+def test_wrong_printed_modulus_fails(monkeypatch):
+    """The claim on Table 5.5 has a wide tolerance, so that its printed number is that of 5.6."""
+    entries = dict(ledger._read("claims.toml"))
+    entries["table-5.6/E"] = entries["table-5.6/E"] | {"printed": "1.3337"}
+    monkeypatch.setattr(ledger, "_read", lambda name: entries)
+    changed = ledger.claims.__wrapped__()
+    assert changed["section-5.6/E-from-table-5.5"].printed == "1.3337"
+    verdict, objection = ledger.check_stated_verdict(changed["table-5.6/E"], *[1.32372] * 3)
+    assert (verdict, objection) == ("cannot tell", "cannot tell, but the book says agrees")
 
 
 def test_mismatch_is_recorded_on_request(monkeypatch):

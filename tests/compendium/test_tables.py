@@ -10,7 +10,7 @@ import pytest
 from book_tables import script_json
 
 from compendium import ledger
-from compendium.tables import SIGNS, as_printed, verdict_link
+from compendium.tables import as_printed, verdict_link
 
 #: Rows and columns of each table; row, column and number of a cell, with what leads to it.
 PRINTED = {
@@ -44,7 +44,7 @@ def test_table_shows_printed_and_found_numbers(name, monkeypatch):
     found = ledger.summary(f"{name}/")["recomputed"]
     expected = []
     for one in entries:
-        text = f"{one.printed or one.limit} {SIGNS[one.verdict]} {found.get(one.id, '')}"
+        text = f"{one.printed or one.limit} {ledger.VERDICTS[one.verdict]} {found.get(one.id, '')}"
         expected.append(f"{text} {ledger.STAR if one.star else ''}".split())
     cells = [re.sub("^[a-z ]+", "", text).split() for row in texts for text in row]
     assert sorted(cells) == sorted(expected)

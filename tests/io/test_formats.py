@@ -265,6 +265,19 @@ def test_series_selects_an_image_of_the_file(stack, tmp_path):
             read_frames(path, **options)
 
 
+@pytest.mark.parametrize(("letter", "name"), [("C", "channel"), ("T", "time")])
+def test_only_channel_or_time_of_a_file_is_number_zero(stack, tmp_path, letter, name):
+    path = make.tiff(
+        tmp_path / "a.ome.tif", stack[:, None], ome=True,
+        metadata={"axes": f"Z{letter}YX", "PhysicalSizeZ": 3.0},
+    )  # fmt: skip
+    frames = read_frames(path, **{name: 0})
+    assert (frames.axis, frames.positions.tolist()) == ("Z", [3.0 * k for k in range(len(stack))])
+    assert_frames(path, stack, **{name: 0})
+    with pytest.raises(ValueError, match=f"has 1 along axis {letter}, got number 1"):
+        read_frames(path, **{name: 1})
+
+
 def test_channel_is_rejected_where_there_is_none(stack):
     for source in (stack, [stack[0]], read_frames(stack)):
         with pytest.raises(ValueError, match="channel must be left out for frames without that"):

@@ -228,7 +228,7 @@ def test_run_ends_after_three_moves_that_the_image_does_not_follow():
     away = AWAY / 3  # three such moves stay in the picture
     given = {"travel": 800.0, "jacobian": JACOBIAN, "tolerance": 0.2}
     run = servo(scope.workstation, seeing(lambda: scope.home), scope.home + away, **given)
-    assert run.reason.startswith("the image does not follow the stage: 3 moves in a row were off")
+    assert run.reason.startswith("the image does not follow the stage: 3 comparisons in a row were off")
     # The feature seems to stand, so each of the moves is the whole way that J predicts.
     assert "the last [0. 0.] px instead of [10.   -8.33] px" in run.reason
     assert run.log["phase"].tolist() == ["start"] + ["servo"] * 4 + ["end"]
@@ -253,7 +253,7 @@ def test_tracker_needs_neither_reason_nor_covariance():
     np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=1e-9)
     tracker.track = lambda frame: SimpleNamespace(lost=True)
     run = servo(scope.workstation, tracker, scope.home, travel=400.0)
-    assert run.reason == "lost: lost in the first frame"
+    assert run.reason == "lost in the first frame"
 
 
 def test_error_names_a_missing_device_method():

@@ -20,7 +20,7 @@ from microlib.membrane.large._capsule_problem import (
     Zones,
 )
 from microlib.membrane.large._laws import constitutive_law
-from microlib.membrane.large._solver import MembraneState, dimensional_state, meridian
+from microlib.membrane.large._solver import MembraneState, dimensional_state, meridian_curve
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,8 +204,9 @@ def capsule_modulus(
     Raises
     ------
     ValueError
-        If an argument is out of its range, if no inflated capsule has this shape, or if the depth
-        does not determine the modulus, see Notes.
+        If an argument is out of its range, if no inflated capsule has this shape, if the depth does
+        not determine the modulus, see Notes, or if the solver does not converge, as for some
+        shallow dimples.
 
     Warns
     -----
@@ -321,7 +322,7 @@ def _state(
     middle = np.array([0.0, 0.0, stretch, stretch, stress, stress])
     # From the probe's edge to the middle of the plate. Zones share their ends.
     segments = problem.segments(solution.x, solution.y, solution.p)
-    parts = [meridian(problem.law, part)[:, ::-1] for part in reversed(segments)]
+    parts = [meridian_curve(problem.law, part)[:, ::-1] for part in reversed(segments)]
     curve = np.column_stack([*parts, middle])
     repeated = np.flatnonzero(np.hypot(*np.diff(curve[:2])) < 1e-12) + 1
     sizes = {"depth": dimple.z[0] - dimple.z[-1], "approach": 2 - dimple.z[-1]}

@@ -128,15 +128,18 @@ class PrescribedDimple:
 class CapsuleProblem:
     """The capsule under a probe of radius `probe`, for a given force or a given dimple.
 
+    The middle of the contact zone is in one of two states. If it is taut, it is stretched evenly.
+    If it is slack, it has no stress: the wall would be shorter there than undeformed.
+
     The state is that of `Zones`. The methods have the form that SciPy's `solve_bvp` needs.
     """
 
     law: Law
     probe: float
     given: PrescribedForce | PrescribedDimple
-    #: Whether the wall has no stress within a circle of the contact zone, whose arc is unknown. At
-    #: the circle the wall is undeformed, r = ρ. A taut middle is stretched evenly. Its contact zone
-    #: begins at a hundredth of the arc of contact, and the error of the even stretch inside falls
+    #: Whether the middle is slack. The contact zone then begins at the edge of the slack middle,
+    #: whose arc is unknown and where the wall is undeformed, r = ρ. With a taut middle, the contact
+    #: zone begins at a hundredth of the arc of contact. The error of the even stretch inside falls
     #: with the fourth power of this fraction.
     slack: bool = False
 

@@ -23,7 +23,7 @@ from microlib.membrane.large._solver import (
     collocate,
     dimensional_state,
     equilibrium,
-    meridian,
+    meridian_curve,
     segment,
 )
 
@@ -48,18 +48,18 @@ class _Disc:
     @property
     def scales(self) -> tuple[float, float, float]:
         """Scales of the displacement, of the horizontal tension and of the height."""
-        load = self.force + np.pi * self.pressure
+        total = self.force + np.pi * self.pressure  # of the forces on the disc
         rim_stretch = 1 / self.outer
         # Without pretension w/a grows as (F/(E h a))^⅓, see the closed form of `indent_disc`; the
         # displacement along the radius grows as the square of the slope.
-        height = max(load ** (1 / 3), np.finfo(float).eps)
+        height = max(total ** (1 / 3), np.finfo(float).eps)
         if rim_stretch < 1:
             # A slack disc is as deep as its meridian is long, for any small force.
             height += np.sqrt(self.outer**2 - 1)
-        tension = self.law.equibiaxial_stress(max(rim_stretch, 1.0)) + load / height
+        tension = self.law.equibiaxial_stress(max(rim_stretch, 1.0)) + total / height
         # A scale below 1e-8 would resolve rounding.
         displacement = max(height**2, abs(self.prestretch - rim_stretch), 1e-8)
-        return displacement, tension, load / tension + 1e-12
+        return displacement, tension, total / tension + 1e-12
 
     def undeformed(self, t: Array) -> tuple[Array, Array]:
         """Return X(t) and dX/dt, in equal ratios as the dimple is about logarithmic in r."""
@@ -68,13 +68,18 @@ class _Disc:
         return x, ratio * x
 
     def segment(self, t: Array, y: Array, k: Any) -> Segment:
-        """Return the disc with its load reversed, so that V is positive: it hangs downwards."""
+        """Return the state at the nodes, with V = F/2π − p r²/2 as in the notes of `indent_disc`.
+
+        Force and pressure enter with the opposite sign, because `segment` assumes a meridian that
+        begins at a plate with the pressure above it. The meridian of a disc begins at the probe,
+        and the pressure is below it.
+        """
         displacement, tension, height = self.scales
         x, x_rate = self.undeformed(t)
         r, z = x * self.prestretch + displacement * y[0], height * y[2]
-        load = 1.0 if k is None else np.exp(k[0])
-        force, pressure = -load * self.force, -load * self.pressure
-        return segment(x, x_rate, r, z, tension * y[1], force, pressure)
+        factor = 1.0 if k is None else np.exp(k[0])
+        force, pressure = factor * self.force, factor * self.pressure
+        return segment(x, x_rate, r, z, tension * y[1], -force, -pressure)
 
     def right_hand_side(self, t: Array, y: Array, k: Any = None) -> Array:
         """Return dy/dt in equilibrium."""
@@ -241,7 +246,7 @@ def indent_disc(
         raise ValueError(
             f"force must be one that a disc holds, got {load:g} µN: {reason}"
         ) from None
-    curve = meridian(material, disc.segment(solution.x, solution.y, solution.p))
+    curve = meridian_curve(material, disc.segment(solution.x, solution.y, solution.p))
     depth = -curve[1, 0]
     sizes = {"depth": depth, "approach": depth, "rim_radius": 1.0, "pressure": disc.pressure}
     return dimensional_state(curve, stiffness, h, a, **sizes)

@@ -70,22 +70,22 @@ def collocate(
     return solution if converged else None
 
 
-def meridian_stretch(law: Law, part: Segment) -> tuple[Array, Array]:
+def stretch_and_hoop_stress(law: Law, part: Segment) -> tuple[Array, Array]:
     """Return the stretch of the meridian and the nominal hoop stress."""
     return law.invert_meridian_stress(part.tension / part.rho, part.r / part.rho)
 
 
 def equilibrium(law: Law, part: Segment) -> tuple[Array, Array, Array]:
     """Return dr/dx, dz/dx and dH/dx: r' = λ₁H/A, z' = λ₁V/A, H' = N₂ − p r z'."""
-    first, hoop = meridian_stretch(law, part)
+    first, hoop = stretch_and_hoop_stress(law, part)
     r_rate, z_rate = first * part.cosine, first * part.sine
     horizontal_rate = hoop - part.pressure * part.r * z_rate
     return r_rate * part.arc_rate, z_rate * part.arc_rate, horizontal_rate * part.arc_rate
 
 
-def meridian(law: Law, part: Segment) -> Array:
+def meridian_curve(law: Law, part: Segment) -> Array:
     """Return r, z, both stretches and both stresses at the nodes of a segment, (6, n)."""
-    first, hoop = meridian_stretch(law, part)
+    first, hoop = stretch_and_hoop_stress(law, part)
     stretches, along = (first, part.r / part.rho), part.tension / part.rho
     return np.array([part.r, part.z, *stretches, along, hoop])
 
@@ -102,7 +102,8 @@ class MembraneState(FlatResult):
         Distance that the probe has moved since it touched, in µm.
     rim_radius : float
         Radius a of the rim, in µm. The rim of a disc is its clamped edge. The rim of a capsule is
-        the crest of its dimple, whose radius is also that of the contact on the plate.
+        the crest of its dimple, whose radius is also that of the contact on the plate. Depth,
+        approach and rim radius of a capsule without a force are 0.
     r, z : ndarray, shape (N,)
         Meridian from the probe's edge to the rim of the disc or to the middle of the plate:
         distance from the axis, and height above the plane of the rim or above the plate, in µm.
@@ -133,7 +134,7 @@ class MembraneState(FlatResult):
 
 
 def dimensional_state(
-    meridian: Array,
+    curve: Array,
     modulus: float,
     thickness: float,
     length: float,
@@ -143,14 +144,14 @@ def dimensional_state(
     approach: float = 0.0,
     rim_radius: float = 0.0,
 ) -> MembraneState:
-    """Return a state in units from dimensionless r, z, stretches, stresses and sizes."""
+    """Return a state in units from the dimensionless curve of `meridian_curve` and sizes."""
     return MembraneState(
         depth=float(depth * length),
         approach=float(approach * length),
         rim_radius=float(rim_radius * length),
         pressure=float(pressure * modulus * thickness / length),
-        r=meridian[0] * length,
-        z=meridian[1] * length,
-        stretches=meridian[2:4],
-        stresses=meridian[4:] * modulus,
+        r=curve[0] * length,
+        z=curve[1] * length,
+        stretches=curve[2:4],
+        stresses=curve[4:] * modulus,
     )
