@@ -66,7 +66,9 @@ def as_printed(name: str) -> HTML:
 def _cell(claim: ledger.Claim, recomputed: str, named: bool) -> str:
     name = f"{escape(claim.id.rpartition('/')[2].replace('-', ' '))}<br>" if named else ""
     number = recomputed.replace("± ", "±&nbsp;")
-    mark = f"{ledger.VERDICTS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(claim.star)
+    mark = f"{ledger.VERDICTS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(
+        claim.star
+    )
     between = "<br>" if number else "&nbsp;"
     printed = escape(claim.printed or claim.limit)
     return f"<td>{name}{printed}{between}{verdict_link(claim, mark, up='../')}</td>"

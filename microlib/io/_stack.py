@@ -140,7 +140,8 @@ def select_frames(
         else:
             raise ValueError(f"it has {length} along axis {axis}, got number {number} (from 0)")
     if len(left) > 1 or left == "C":
-        lengths = ", ".join(f"{axis}={n}" for axis, n in zip(axes, shape, strict=True))
+        several = ((axis, n) for axis, n in zip(axes, shape, strict=True) if n > 1)
+        lengths = ", ".join(f"{axis}={n}" for axis, n in several)
         raise ValueError(
             f"it has the axes {lengths} besides rows and columns, a stack has one and no channels "
             "C: choose a channel or a time, or pass an array of shape (frames, rows, cols)"

@@ -137,7 +137,11 @@ class Loop:
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
-        return 0.0 if self._first_exposure is None else self.workstation.clock.now() - self._first_exposure
+        return (
+            0.0
+            if self._first_exposure is None
+            else self.workstation.clock.now() - self._first_exposure
+        )
 
     def run(self, jacobian: Array | None) -> None:
         """Observe, calibrate if there is no Jacobian, and go to the targets."""

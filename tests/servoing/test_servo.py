@@ -228,7 +228,9 @@ def test_run_ends_after_three_moves_that_the_image_does_not_follow():
     away = AWAY / 3  # three such moves stay in the picture
     given = {"travel": 800.0, "jacobian": JACOBIAN, "tolerance": 0.2}
     run = servo(scope.workstation, seeing(lambda: scope.home), scope.home + away, **given)
-    assert run.reason.startswith("the image does not follow the stage: 3 comparisons in a row were off")
+    assert run.reason.startswith(
+        "the image does not follow the stage: 3 comparisons in a row were off"
+    )
     # The feature seems to stand, so each of the moves is the whole way that J predicts.
     assert "the last [0. 0.] px instead of [10.   -8.33] px" in run.reason
     assert run.log["phase"].tolist() == ["start"] + ["servo"] * 4 + ["end"]
