@@ -70,8 +70,12 @@ ORIGINS = {
 }  # fmt: skip
 #: Chance with which a right uncertainty is refused, for the seed that a test has.
 LEVEL = 1e-3
-#: Public, but not called here: a category of warnings, and a picture, as below.
-NOT_CALLED = {"membrane.SmallSlopeWarning", "tracking.plot_track"}
+#: Public, but not called here: a category of warnings, a picture, as below, and parts of a result
+#: that the tests of the result call.
+NOT_CALLED = {
+    *("membrane.SmallSlopeWarning", "tracking.plot_track"),
+    *("embryo.Boundary", "embryo.Probe", "embryo.Rotation"),
+}
 #: Methods that take nothing, and pictures, whose tests are tests/test_plots.py.
 WITHOUT = {"to_dict", "to_frame", "plot"}
 

@@ -11,7 +11,7 @@ from microlib.embryo import (
     modulus_from_image,
 )
 from tests import fuzz
-from tests.embryo import test_boundary, test_outline
+from tests.embryo import test_outline
 from tests.laws import (
     NUMBER,
     SAME,
@@ -91,17 +91,6 @@ LAWS = {
         lambda u: {"curve": hills(u), "pixel_size": 3.9 * u.um / u.px, "rim": "right"},
         GEOMETRY,
         within=1e-6,
-    ),
-    "embryo.Boundary.without_probe": TestedBy(
-        test_boundary.test_without_probe_matches_image_rendered_without_probe
-    ),
-    **dict.fromkeys(
-        (
-            *("embryo.Probe.axis", "embryo.Probe.half_width_at"),
-            *("embryo.Rotation.to_image", "embryo.Rotation.from_image"),
-            *("embryo.Rotation.upright", "embryo.Rotation.apply"),
-        ),
-        TestedBy(test_boundary.test_outline_is_right_under_leaning_probe),
     ),
     "embryo.dimple_from_outline": TestedBy(
         test_outline.test_dimple_does_not_depend_on_order_origin_and_unit

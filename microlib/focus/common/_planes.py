@@ -41,9 +41,10 @@ def smooth_planes(
     # The Gaussian is cut off at two standard deviations, where a neighbor counts e⁻²: twice as far
     # the sums would take four times as long. The spacing leaves 37 neighbors in the circle.
     stride = max(1, round(sigma / 1.75))
-    reach = stride * int(2 * sigma / stride)
+    cutoff = 2 * sigma * (1 + 1e-9)  # rounding of sigma takes no neighbor away
+    reach = stride * int(cutoff / stride)
     span = range(-reach, reach + 1, stride)
-    offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= 4 * sigma**2]
+    offsets = [(y, x) for y, x in product(span, span) if y * y + x * x <= cutoff**2]
     low, high = np.nanmin(depth), np.nanmax(depth)
     # A jump far beyond all differences is none: every neighbor counts in full. One below what
     # single precision tells apart lets none count but equal ones.
