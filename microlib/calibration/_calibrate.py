@@ -110,9 +110,11 @@ def calibrate(
 
     *Uncertainty.* The covariance includes the image noise. It also includes the correlation of the
     errors of points that belong to one mark, such as the corners of a square. With several views it
-    also includes the errors of the printed pattern, which are the same in all views. If a
+    also includes the errors of single printed marks, which are the same in all views. If a
     lack-of-fit test of the residuals has a p-value below 0.1, the covariance also includes the
     model discrepancy, which is the smooth part of the residuals that the noise does not explain.
+    An error of `pitch` is not included: if `pitch` is 1 % too large, M is 1 % too small, and an
+    estimated f is M/(1 + M) % too large.
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
@@ -152,51 +154,56 @@ def calibrate(
         "pixel_pitch": pitch_pair(1.0 if pixel_pitch is None else pixel_pitch),
         "focal_length": focal_length,
     }
-    views = photographs_of(world, image, pitch, image_size, **camera)
-    fit, alone = fit_views(views)
-    fit = add_lens_terms(views, fit)
+    photographs = photographs_of(world, image, pitch, image_size, **camera)
+    fit, alone = fit_views(photographs)
+    fit = add_lens_terms(photographs, fit)
     # Wrong units lead to a magnification below zero, or to residuals as large as the image.
-    largest = max(views.image_size) / 20
-    if not (fit.poses[:, 0] > 0).all() or np.sqrt(views.residual_variance(fit)) > largest:
-        raise views.refusal
-    return _build_result(views, fit, alone, pixel_pitch is not None)
+    largest = max(photographs.image_size) / 20
+    if not (fit.poses[:, 0] > 0).all() or np.sqrt(photographs.residual_variance(fit)) > largest:
+        raise photographs.refusal
+    return _build_result(photographs, fit, alone, pixel_pitch is not None)
 
 
-def _mark_numbers(views: Photographs, fit: Fit) -> NDArray[np.intp] | None:
+def _mark_numbers(photographs: Photographs, fit: Fit) -> NDArray[np.intp] | None:
     """Number of the mark of each point, None if all points are independent.
 
     Points of several views belong to one mark if they have one place in the pattern. With no more
     marks than parameters, the scatter of the marks gives no covariance.
     """
-    marks = views.marks
-    if marks is None and len(views.world) > 1:
-        marks = np.round(np.concatenate(views.world), 6)
-    if marks is None:
+    places = photographs.mark_places
+    if places is None and len(photographs.world) > 1:
+        places = np.round(np.concatenate(photographs.world), 6)
+    if places is None:
         return None
-    numbers = np.unique(marks, axis=0, return_inverse=True)[1].ravel()
+    numbers = np.unique(places, axis=0, return_inverse=True)[1].ravel()
     return numbers if numbers.max() >= len(fit.free) else None
 
 
-def _build_result(views: Photographs, fit: Fit, alone: list[list[Fit]], in_um: bool) -> Calibration:
+def _build_result(
+    photographs: Photographs, fit: Fit, alone: list[list[Fit]], in_um: bool
+) -> Calibration:
     """Estimates with their covariance, the undetermined ones, and a microscope for each view.
 
     `in_um` states whether the pixel pitch is known, and with it lengths on the sensor in µm.
     """
-    marks = _mark_numbers(views, fit)
-    test = check_fit(views, fit, marks)
-    inner = noise_covariance(views, fit, marks) + test.covariance
-    undetermined = _undetermined(fit, alone, np.sqrt(np.diag(inner)), views.residual_variance(fit))
-    if "inverse_principal" in np.array(fit.names)[undetermined]:  # f is then a kilometer at most
+    mark_numbers = _mark_numbers(photographs, fit)
+    test = check_fit(photographs, fit, mark_numbers)
+    inner = noise_covariance(photographs, fit, mark_numbers) + test.covariance
+    undetermined = _undetermined(
+        fit, alone, np.sqrt(np.diag(inner)), photographs.residual_variance(fit)
+    )
+    if "inverse_principal" in np.array(fit.names)[undetermined]:
+        # 1/(T_op + f) may be zero, and `Microscope` has no infinite f: f is a kilometer at most.
         least = 1 / (KILOMETER * (1 + fit.poses[0, POSE.index("magnification")]))
         fit = replace(fit, lens=np.maximum(fit.lens, [least, *np.full(len(LENS) - 1, -np.inf)]))
     names, values, by_fitted = _reported(fit, in_um)
     covariance = by_fitted @ np.where(np.isfinite(inner), inner, 0.0) @ by_fitted.T
     covariance[undetermined] = covariance[:, undetermined] = np.nan
     covariance[undetermined, undetermined] = np.inf
-    dof = fit.dof if marks is None else int(marks.max())
+    dof = fit.dof if mark_numbers is None else int(mark_numbers.max())
     std = np.sqrt(np.diag(covariance)).tolist()
-    scopes = [_microscope(views, fit.lens, pose) for pose in fit.poses]
-    pairs = list(zip(scopes, views.world, views.image, strict=True))
+    scopes = [_microscope(photographs, fit.lens, pose) for pose in fit.poses]
+    pairs = list(zip(scopes, photographs.world, photographs.image, strict=True))
     return Calibration(
         microscope=scopes[0],
         parameters={
@@ -211,7 +218,7 @@ def _build_result(views: Photographs, fit: Fit, alone: list[list[Fit]], in_um: b
         lack_of_fit=test.lack_of_fit,
         p_value=test.p_value,
         views=tuple(scopes),
-        held_out=held_out_errors(views, fit, alone),
+        held_out=held_out_errors(photographs, fit, alone),
     )
 
 
@@ -244,18 +251,18 @@ def _estimate(name: str, value: float, std: float, dof: int, in_um: bool) -> Est
     return Estimate(value, std, max(value - half, least), value + half, unit)
 
 
-def _microscope(views: Photographs, lens: Array, pose: Array) -> Microscope:
+def _microscope(photographs: Photographs, lens: Array, pose: Array) -> Microscope:
     """The microscope of a view, in focus."""
     view = dict(zip((*LENS, *POSE), (*lens.tolist(), *pose.tolist()), strict=True))
     magnification, inverse_principal = view.pop("magnification"), view.pop("inverse_principal")
-    f = views.focal_length or 1 / (inverse_principal * (1 + magnification))
+    f = photographs.focal_length or 1 / (inverse_principal * (1 + magnification))
     return Microscope(
         tube_length=magnification * f,
         focal_length=f,
         distance=f / magnification,
         principal_offset=(view.pop("principal_x"), view.pop("principal_y")),
-        pixel_pitch=tuple(views.pixel_pitch.tolist()),
-        image_size=views.image_size,
+        pixel_pitch=tuple(photographs.pixel_pitch.tolist()),
+        image_size=photographs.image_size,
         **view,
     )
 

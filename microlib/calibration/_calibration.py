@@ -47,7 +47,8 @@ class Calibration(Result):
         Microscope with the estimated parameters, in focus: d = f²/T_op (2.20). Without the pixel
         pitch it is one with pixels of 1 µm that makes the same images: its `principal_distance`,
         its pose and all projections are right, but not its magnification, tube length, focal length
-        and distance.
+        and distance. Its values for `undetermined` parameters are arbitrary: they reproduce these
+        points only.
     parameters : dict of str to Estimate
         The estimated parameters by name, with uncertainty, 95 % interval and unit. The uncertainty
         of a parameter that the points do not determine is infinite and its value is NaN.
@@ -97,11 +98,12 @@ class Calibration(Result):
         lens = f"magnification {scope.magnification:.6g}, focal length {focal}"
         if self.pixel_pitch is None:
             lens = f"principal distance {self.principal_distance}"
+        tilt = f", tilt {np.rad2deg(scope.tilt):.3g}°"
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
             f"{self.reprojection.rms:.3g} px rms residual",
             f"  {pixel} at the origin of the{' first' * (len(self.views) > 1)} pattern",
-            f"  {lens}, tilt {np.rad2deg(scope.tilt):.3g}°",
+            f"  {lens}{tilt if self._tilt_is_determined(0) else ''}",
         ]
         if self.undetermined:
             lines.append(f"  undetermined: {', '.join(self.undetermined)}")
@@ -115,6 +117,11 @@ class Calibration(Result):
         elif np.isnan(self.lack_of_fit):
             lines.append("  too few marks to test whether the model is adequate")
         return "\n".join(lines)
+
+    def _tilt_is_determined(self, view: int) -> bool:
+        """Whether the points determine both angles of the tilt of a view, with their sign."""
+        ending = f"_{view + 1}" if view else ""
+        return not {f"beta{ending}", f"gamma{ending}"} & set(self.undetermined)
 
     @property
     def adequate(self) -> bool:
@@ -216,7 +223,9 @@ class Calibration(Result):
 
         * ``opencv``: camera matrix and distortion coefficients as ``cv2.undistort`` takes them,
           their largest deviation from this model in the image, and rotation and translation of
-          each view.
+          each view. What the points do not determine is null: the rotation of a view whose tilt is
+          undetermined, and without the principal distance also the camera matrix, the distortion
+          and the translations.
         * ``imagej``: width and height of a pixel, as in `um_per_pixel` at the pattern's origin.
         * ``micro_manager``: pixel size, the root of width times height. Its 95 % interval is in
           ``pixel_size_interval_um``; an infinite upper limit is null.
@@ -229,6 +238,12 @@ class Calibration(Result):
         scope, pixel = self.microscope, self.um_per_pixel
         distance, center = scope.principal_distance, scope.principal_point
         terms, worst = _brown(scope)
+        known = not {"focal_length", "principal_distance"} & set(self.undetermined)
+        camera_matrix = [[distance[0], 0, center[0]], [0, distance[1], center[1]], [0, 0, 1]]
+        rotations = [
+            cv2.Rodrigues(view.rotation)[0].ravel() if self._tilt_is_determined(v) else None
+            for v, view in enumerate(self.views)
+        ]
         # Of the root of the area, and of the height.
         mean, height = np.sqrt(scope.pitch[1] / scope.pitch[0]), scope.pitch[1] / scope.pitch[0]
         own = {n: v for n, v in vars(self).items() if n != "microscope"}
@@ -241,15 +256,11 @@ class Calibration(Result):
             "opencv": {
                 "image_width": scope.image_size[0],
                 "image_height": scope.image_size[1],
-                "camera_matrix": [
-                    [distance[0], 0, center[0]],
-                    [0, distance[1], center[1]],
-                    [0, 0, 1],
-                ],
-                "distortion_coefficients": terms,
-                "distortion_model_error_px": worst,
-                "rotation_vectors": [cv2.Rodrigues(v.rotation)[0].ravel() for v in self.views],
-                "translation_vectors_um": [v.translation for v in self.views],
+                "camera_matrix": camera_matrix if known else None,
+                "distortion_coefficients": terms if known else None,
+                "distortion_model_error_px": worst if known else None,
+                "rotation_vectors": rotations,
+                "translation_vectors_um": [v.translation if known else None for v in self.views],
             },
             "micro_manager": {"PixelSizeUm": mean * pixel.value},
             "imagej": {

@@ -47,7 +47,7 @@ class Photographs:
         in px.
     focal_length : float or None
         Focal length, µm, if it is given.
-    marks : ndarray, shape (N, 2), or None
+    mark_places : ndarray, shape (N, 2), or None
         Grid coordinates of the mark of each point of all views, if marks have several points.
     """
 
@@ -56,7 +56,7 @@ class Photographs:
     image_size: tuple[int, int]
     pixel_pitch: Array
     focal_length: float | None
-    marks: Array | None = None
+    mark_places: Array | None = None
 
     @property
     def middle(self) -> Array:
@@ -79,7 +79,7 @@ class Photographs:
     def subset(self, which: ArrayLike) -> Photographs:
         """The views with the given indices."""
         world, image = ([each[v] for v in np.asarray(which)] for each in (self.world, self.image))
-        return replace(self, world=world, image=image, marks=None)
+        return replace(self, world=world, image=image, mark_places=None)
 
     def rounding_variance(self, poses: Array) -> float:
         """Variance of a coordinate by rounding alone, px²: a floor for every stated variance."""
@@ -141,9 +141,9 @@ class Fit:
         Indices of the fitted parameters in `lens` and `poses`, flat and joined. The first is that
         of the first view's magnification.
     residuals : ndarray, shape (2 N,)
-        Projection minus image points, px.
+        Image points minus their projection, px.
     jacobian : ndarray, shape (2 N, p)
-        Derivatives of the residuals by the fitted parameters.
+        Derivatives of the projection by the fitted parameters.
     """
 
     lens: Array
@@ -179,30 +179,34 @@ class Fit:
         return [[*LENS, *each][k] for k in self.free]
 
 
-def fit_views(views: Photographs) -> tuple[Fit, list[list[Fit]]]:
+def fit_views(photographs: Photographs) -> tuple[Fit, list[list[Fit]]]:
     """Fit all views together, and each view alone from both signs of its tilt.
 
     Of the two fits of each view the better one comes first.
     """
-    base = ["distortion"] if views.focal_length is not None else ["inverse_principal", "distortion"]
-    every = [views.subset([v]) for v in range(len(views.world))]
-    fits = [[least_squares_fit(one, *start, base) for start in _starts(one)] for one in every]
+    base = ["distortion"]
+    if photographs.focal_length is None:
+        base = ["inverse_principal", *base]
+    single = [photographs.subset([v]) for v in range(len(photographs.world))]
+    fits = [[least_squares_fit(each, *start, base) for start in _starts(each)] for each in single]
     alone = [sorted(pair, key=lambda fit: fit.rss) for pair in fits]
-    if len(every) == 1:
+    if len(single) == 1:
         return alone[0][0], alone
     lens = np.median([pair[0].lens for pair in alone], axis=0)
-    best = least_squares_fit(views, lens, np.concatenate([pair[0].poses for pair in alone]), base)
+    best = least_squares_fit(
+        photographs, lens, np.concatenate([pair[0].poses for pair in alone]), base
+    )
     return best, alone
 
 
 def least_squares_fit(
-    views: Photographs, lens: Array, poses: Array, lens_free: Sequence[str]
+    photographs: Photographs, lens: Array, poses: Array, lens_free: Sequence[str]
 ) -> Fit:
     """Fit all poses and the given parameters of the lens by Levenberg–Marquardt from a start."""
     start = np.concatenate([lens, poses.ravel()])
     first = len(LENS)
     free = [first, *sorted(map(LENS.index, lens_free)), *range(first + 1, len(start))]
-    image = np.concatenate(views.image)
+    image = np.concatenate(photographs.image)
 
     def split(values: Array) -> tuple[Array, Array]:
         full = start.copy()
@@ -211,14 +215,15 @@ def least_squares_fit(
 
     @lru_cache(maxsize=1)  # SciPy asks for the derivatives where it has asked for the residuals
     def evaluate(values: bytes) -> tuple[Array, Array]:
-        points, jacobian = views.predict(*split(np.frombuffer(values)))
+        """Projection minus image points, and its derivatives."""
+        points, jacobian = photographs.predict(*split(np.frombuffer(values)))
         return (points - image).ravel(), jacobian.reshape(-1, len(start))[:, free]
 
     if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
         # The linear κ of a wide-angle lens may lie outside the domain of the distortion model.
         start[LENS.index("distortion")] = 0.0
     if not np.isfinite(evaluate(start[free].tobytes())[0]).all():
-        raise views.refusal
+        raise photographs.refusal
     found = least_squares(
         lambda values: evaluate(values.tobytes())[0],
         start[free],
@@ -233,8 +238,8 @@ def least_squares_fit(
     # Parallel views determine no focal length: the search does not end in the flat valley of their
     # minimum, where its residuals are those of the noise. Here they are above a pixel, rms.
     if found.status == 0 and len(poses) > 1 and found.cost > len(image):
-        raise views.refusal
-    residuals, jacobian = evaluate(found.x.tobytes())
+        raise photographs.refusal
+    differences, jacobian = evaluate(found.x.tobytes())
     signs, principal = np.ones(len(start)), LENS.index("inverse_principal")
     if split(found.x)[0][principal] < 0:
         # The images are equal with −1/(T_op + f) and the opposite tilts (β, γ).
@@ -242,18 +247,19 @@ def least_squares_fit(
         signs[first:].reshape(poses.shape)[:, [POSE.index("beta"), POSE.index("gamma")]] = -1
     lens, poses = split(found.x * signs[free])
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))  # to (−π, π]
-    return Fit(lens, poses, free, residuals, jacobian * signs[free])
+    return Fit(lens, poses, free, -differences, jacobian * signs[free])
 
 
-def _starts(one: Photographs) -> list[tuple[Array, Array]]:
-    """Lens and pose of one view in closed form, for each sign of the tilt."""
-    world, sensor = one.world[0], (one.image[0] - one.middle) * one.pixel_pitch
+def _starts(photograph: Photographs) -> list[tuple[Array, Array]]:
+    """Lens and pose of a single view in closed form, for each sign of the tilt."""
+    world, offset = photograph.world[0], photograph.image[0] - photograph.middle
+    sensor = offset * photograph.pixel_pitch
     alpha, beta, gamma, tx, ty = radial_alignment(world, sensor)
     starts = []
     for sign in (1, -1):
         rotation = euler_rotation(alpha, sign * beta, sign * gamma)
         turned = world @ rotation[:, :2].T
-        depth = turned[:, 2] if one.focal_length is None else np.zeros(len(world))
+        depth = turned[:, 2] if photograph.focal_length is None else np.zeros(len(world))
         flat = turned[:, :2] + [tx, ty]
         magnification, distortion, inverse_depth = linear_intrinsics(flat, depth, sensor).tolist()
         known = {"inverse_principal": abs(inverse_depth / magnification), "distortion": distortion}

@@ -73,6 +73,7 @@ def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
     r11, r12, tx, r21, r22, ty = directions[5]
     block, shift = np.array([[r11, r12], [r21, r22]]), scale * np.array([tx, ty])
     size = np.linalg.svd(block, compute_uv=False)[0]
+    # (X, Y) and (u, v) point the same way: M > 0.
     outward = ((block @ np.stack([x, y]) + [[tx], [ty]]) * np.stack([u, v])).sum()
     block, shift = block / np.copysign(size, outward), shift / np.copysign(size, outward)
 

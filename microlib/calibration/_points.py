@@ -84,6 +84,6 @@ def _of_detections(
         raise ValueError("world must hold detections in images of one size, got several")
     squares = any(len(np.unique(each.group)) < len(each.group) for each in detections)
     if squares:
-        camera = camera | {"marks": np.concatenate([each.grid // 2 for each in detections])}
+        camera = camera | {"mark_places": np.concatenate([each.grid // 2 for each in detections])}
     worlds = [pitch * each.positions for each in detections]
     return _of_points(worlds, [each.points for each in detections], size, camera)

@@ -10,7 +10,8 @@ from microlib._common import Array, inverse_normal
 from microlib.calibration._fit import Fit, Photographs
 from microlib.estimate import Estimate
 
-#: A kilometer, µm: an infinite focal length is reported as this length.
+#: A kilometer, µm: the microscope of a calibration has this focal length at most, where the points
+#: do not determine it.
 KILOMETER = 1e9
 
 
@@ -35,13 +36,13 @@ def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: N
 
     It assumes nothing about the correlation of errors within a group. The closed form holds for a
     linear problem (cluster-robust covariance CV3 of Bell and McCaffrey, 2002):
-    with H_g = J_g (JᵀJ)⁻¹ J_gᵀ, the parameters change by (JᵀJ)⁻¹ J_gᵀ (1 − H_g)⁻¹ r_g without group
-    g, and their covariance is (G − 1)/G times the sum of the outer products of the changes.
+    with H_g = J_g (JᵀJ)⁻¹ J_gᵀ, the parameters change by −(JᵀJ)⁻¹ J_gᵀ (1 − H_g)⁻¹ r_g without
+    group g, and their covariance is (G − 1)/G times the sum of the outer products of the changes.
 
     Parameters
     ----------
     jacobian : ndarray, shape (2 N, p)
-        Derivatives J of the residuals.
+        Derivatives J of the projection.
     inverse : ndarray, shape (p, p)
         (JᵀJ)⁻¹ as `inverse_normal` returns it.
     residuals : ndarray, shape (2 N,)
@@ -68,15 +69,17 @@ def group_jackknife(jacobian: Array, inverse: Array, residuals: Array, groups: N
     return np.where(determined, (count - 1) / count * changes @ changes.T, inverse)
 
 
-def noise_covariance(views: Photographs, fit: Fit, marks: NDArray[np.intp] | None) -> Array:
+def noise_covariance(
+    photographs: Photographs, fit: Fit, mark_numbers: NDArray[np.intp] | None
+) -> Array:
     """Covariance of `Fit.estimate` from the errors of the image points.
 
-    `marks` has the number of the mark of each point. The errors of the points of a mark are
+    `mark_numbers` has the number of the mark of each point. The errors of the points of a mark are
     correlated: in one view the corners of a square share its sides, and in all views a printed mark
-    has the same error of its position. Without `marks` the points are independent.
+    has the same error of its position. Without `mark_numbers` the points are independent.
     """
     inverse = inverse_normal(fit.jacobian)
-    if marks is None:
-        return inverse * views.residual_variance(fit)
-    jackknife = group_jackknife(fit.jacobian, inverse, fit.residuals, marks)
-    return jackknife + inverse * views.rounding_variance(fit.poses)
+    if mark_numbers is None:
+        return inverse * photographs.residual_variance(fit)
+    jackknife = group_jackknife(fit.jacobian, inverse, fit.residuals, mark_numbers)
+    return jackknife + inverse * photographs.rounding_variance(fit.poses)

@@ -304,6 +304,12 @@ def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise
         assert np.isinf(found.covariance[lost, lost]).all()
         assert np.isnan(found.covariance[np.outer(lost, ~lost)]).all()
         assert np.isfinite(found.covariance[np.ix_(~lost, ~lost)]).all()
+        # The microscope reproduces the points, exact ones with an f of a kilometer at most.
+        assert found.microscope.focal_length < 1.001e9
+        assert found.reprojection.rms < 1e-8 + 1.5 * noise
+        assert "tilt" not in repr(found)
+        camera = json.loads(found.to_json())["opencv"]
+        assert not any(np.ravel(camera[name]).any() for name in camera if "image" not in name)
         given = calibrate(worlds, image, focal_length=f, **SENSOR)
         assert noise or given.undetermined == ()
         assert given.adequate
@@ -319,6 +325,9 @@ def test_tilt_is_undetermined_if_its_sign_is():
         found = calibrate(world, noisy(scope.project(world), seed), focal_length=f, **SENSOR)
         assert {"beta", "gamma"} <= set(found.undetermined)
         assert np.isinf(found.parameters["beta"].uncertainty)
+        camera = json.loads(found.to_json())["opencv"]
+        assert camera["rotation_vectors"] == [None]
+        assert camera["camera_matrix"][0][0] == found.microscope.principal_distance[0]
         assert np.isfinite(found.parameters["magnification"].uncertainty)
 
 

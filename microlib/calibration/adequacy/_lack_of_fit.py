@@ -41,18 +41,20 @@ class LackOfFit:
     covariance: Array
 
 
-def check_fit(views: Photographs, fit: Fit, marks: NDArray[np.intp] | None) -> LackOfFit:
+def check_fit(
+    photographs: Photographs, fit: Fit, mark_numbers: NDArray[np.intp] | None
+) -> LackOfFit:
     """Test of the residuals of a fit for lack of fit, with the means over the points of a mark.
 
-    `marks` has the number of the mark of each point, see `noise_covariance`.
+    `mark_numbers` has the number of the mark of each point, see `noise_covariance`.
     """
     residuals, jacobian = fit.residuals, fit.jacobian
     # Projections, not image points: a basis at noisy points would follow their noise.
-    points = np.concatenate(views.image) + residuals.reshape(-1, 2)
-    view = np.repeat(np.arange(len(views.image)), [len(image) for image in views.image])
-    if marks is not None:
+    points = np.concatenate(photographs.image) - residuals.reshape(-1, 2)
+    view = np.repeat(np.arange(len(photographs.image)), [len(image) for image in photographs.image])
+    if mark_numbers is not None:
         each, label, size = np.unique(
-            np.column_stack([view, marks]), axis=0, return_inverse=True, return_counts=True
+            np.column_stack([view, mark_numbers]), axis=0, return_inverse=True, return_counts=True
         )
         if len(each) < len(points):
             label, view = label.ravel(), each[:, 0]
@@ -60,7 +62,7 @@ def check_fit(views: Photographs, fit: Fit, marks: NDArray[np.intp] | None) -> L
             points, residuals = mean @ points, (mean @ residuals.reshape(-1, 2)).ravel()
             jacobian = (mean @ jacobian.reshape(len(label), -1)).reshape(-1, jacobian.shape[1])
     basis = discrepancy_basis(points, view)
-    floor = views.rounding_variance(fit.poses)
+    floor = photographs.rounding_variance(fit.poses)
     return f_test(residuals, jacobian, inverse_normal(jacobian), basis, floor)
 
 
@@ -100,9 +102,9 @@ def f_test(
     Parameters
     ----------
     residuals : ndarray, shape (m,)
-        Residuals at the best fit, px.
+        Image points minus their projection at the best fit, px.
     jacobian : ndarray, shape (m, p)
-        Derivatives J of the residuals.
+        Derivatives J of the projection.
     inverse : ndarray, shape (p, p)
         (JᵀJ)⁻¹ as `inverse_normal` returns it.
     basis : ndarray, shape (m, k)

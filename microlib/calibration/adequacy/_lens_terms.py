@@ -12,16 +12,16 @@ from microlib.calibration._fit import Fit, Photographs, least_squares_fit
 _OPTIONAL = (("principal_x", "principal_y"), ("distortion_k2",))
 
 
-def add_lens_terms(views: Photographs, fit: Fit) -> Fit:
+def add_lens_terms(photographs: Photographs, fit: Fit) -> Fit:
     """The fit of several views with the terms of the lens that lower the BIC.
 
     The sum of squares must fall by log(2 N) variances for each parameter of `_OPTIONAL`.
     """
     best = fit
-    for added in _OPTIONAL if len(views.world) > 1 else ():
+    for added in _OPTIONAL if len(photographs.world) > 1 else ():
         with suppress(ValueError):  # a fit that does not converge is no improvement
-            trial = least_squares_fit(views, best.lens, best.poses, [*best.lens_free, *added])
+            trial = least_squares_fit(photographs, best.lens, best.poses, [*best.lens_free, *added])
             penalty = len(added) * np.log(len(trial.residuals))
-            if best.rss - trial.rss > penalty * views.residual_variance(trial):
+            if best.rss - trial.rss > penalty * photographs.residual_variance(trial):
                 best = trial
     return best
