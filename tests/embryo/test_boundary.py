@@ -231,7 +231,7 @@ def test_probe_and_outline_match_independent_renderer(probe):
     depth = seen.max() - (found.image_height - 1 - found.probe.tip[1])
     # Glass ends in a wall as dark as the chorion, and both count as probe: up to 2 px deeper.
     assert depth == pytest.approx(drawn.depth / drawn.pixel_size, abs=2.0)
-    assert np.ptp(found.x) / 2 == pytest.approx(drawn.rim_radius / drawn.pixel_size, rel=0.05)
+    assert np.ptp(found.x) / 2 == pytest.approx(drawn.capsule_radius / drawn.pixel_size, rel=0.05)
     half = drawn.probe_half_width / drawn.pixel_size
     assert found.probe.half_width == pytest.approx(half, abs=1.0)
     # A needle gets 0.08 px narrower on either side for each px down.
