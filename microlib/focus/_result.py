@@ -31,8 +31,12 @@ class FocusResult(FlatResult):
         side, illumination that changes from frame to frame, objects too thin to be resolved, and
         the bias by the shape of the peaks, both its part that is common to the whole map and the
         part that changes between two frames. With other measures it covers the roughness of the
-        depth and the same bias, but no other error that is smooth over ten pixels. Errors of the
-        positions and the field curvature of the lens are never part of it.
+        depth and a part of the same bias, but no other error that is smooth over ten pixels: where
+        all pixels lie equally far from a frame, the bias towards that frame remains (measured 1 µm
+        at a stated 0.2 to 0.45 µm, with a frame spacing of 10 µm). Below about 60×60 px no bias is
+        measured. With every measure it covers a peak that may be noise and a depth at an end of the
+        scan, by up to the standard deviation of a random depth. Errors of the positions and the
+        field curvature of the lens are never part of it.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.

@@ -23,7 +23,7 @@ class DepthMap:
     at_end : ndarray of bool, shape (rows, cols)
         Whether the sharpest frame is the first or the last.
     spacing : float
-        Distance of the frames, µm.
+        Distance of the frames, or of the averaged frames if frames were averaged, µm.
     """
 
     depth: NDArray[np.float32]

@@ -1,8 +1,8 @@
 """Symmetry of focus curves about their peak: of a lens that moves, they are symmetric in 1/z only.
 
-The blur of a lens that moves grows as |1/a − 1/b| with the positions a and b, measured from the
-vertex of that hyperbola. The middles of a focus curve at several heights (its bisector) show where
-the vertex lies. They also give a depth that does not depend on the shape of the peak.
+The blur of a lens that moves grows as |1/a − 1/b|, with the positions a and b measured from the
+lens (the pole of 1/z). The middles of a focus curve at several heights (its bisector) show where
+the lens is. They also give a depth that does not depend on the shape of the peak.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Symmetry:
     middle : float
         Position at which the coordinate is 0 and has the unit of the positions, µm.
     bend : float
-        One over the distance from the vertex of the hyperbola to `middle`, 1/µm; 0 if focus curves
-        are symmetric in the position itself.
+        One over the distance from the lens to `middle`, 1/µm; 0 if focus curves are symmetric in
+        the position itself.
     """
 
     middle: float = 0.0
@@ -40,6 +40,7 @@ class Symmetry:
         """Return the coordinate of positions."""
         if not self.bend:
             return z
+        # v²(1/v − 1/(v + away)) with the distance v = 1/bend from the lens to the middle.
         away = z - z.dtype.type(self.middle)
         return np.asarray(away / (1 + z.dtype.type(self.bend) * away))
 
@@ -83,7 +84,7 @@ def find_symmetry(profiles: NDArray, positions: Array, spacing: float) -> tuple[
     ends = np.stack([left[:, known], right[:, known]])
     found = Symmetry(float(np.median(ends)))
     steepest = 0.9 / np.abs(positions - found.middle).max()
-    # Two hyperbolas one after the other are one, whose bend is the sum: five Newton steps.
+    # Two such coordinates one after the other are one, whose bend is the sum: five Newton steps.
     for step in range(5):
         low, high = found.coordinate(ends)
         apart = np.subtract(*(low + high)[::-1]) / 2
@@ -142,7 +143,8 @@ def shape_error(depth: NDArray, centers: NDArray, frames: Array) -> tuple[float,
     Returns
     -------
     constant, periodic : float
-        Size of the median bias, and the median size of what changes between two frames.
+        Size of the median bias, and the median size of what changes between two frames; 0, 0 if
+        fewer than 30 pixels are known.
     """
     known = np.isfinite(depth + centers)
     difference = (depth - centers)[known]

@@ -32,7 +32,8 @@ class Peaks:
         On the pixel's own side of a step, or that of the wide window; NaN where there is no peak or
         it was rejected.
     weight : ndarray
-        Weight of the depth in a mean.
+        Weight of the depth in a mean: the strength of the fit over a typical one, 1 where no fit
+        succeeded, and 0.02 (`wide_weight`) for a depth of the wide window.
     disagreement, local_disagreement : ndarray
         Distance of the depths by the product and by the edge measure; and its local mean.
     sure_detail, probable_detail : ndarray of bool

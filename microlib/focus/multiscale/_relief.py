@@ -8,6 +8,7 @@ second pixel, depths in averaged frames.
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,12 +21,27 @@ from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, typical
 from microlib.focus.multiscale._settings import FocusSettings
 
-#: For each octave of relief: sigma of the next coarser mean, px; correlation of the directions,
-#: and its standard deviation in `_WINDOW`, that noise alone has.
-_OCTAVES = ((0.8, 0.07, 0.03), (2.0, 0.09, 0.046), (2.8, 0.1, 0.084))
-#: Sigma of the window in which the directions are compared, and half of that of their difference,
-#: px.
-_WINDOW = 10.0
+
+class Octave(NamedTuple):
+    """An octave of relief, and what noise alone has in it.
+
+    Attributes
+    ----------
+    sigma : float
+        That of the next coarser mean, px.
+    noise_correlation, noise_scatter : float
+        Correlation of the directions, and its standard deviation in `_WINDOW`.
+    """
+
+    sigma: float
+    noise_correlation: float
+    noise_scatter: float
+
+
+_OCTAVES = (Octave(0.8, 0.07, 0.03), Octave(2.0, 0.09, 0.046), Octave(2.8, 0.1, 0.084))
+#: Sigma of the window in which the directions are compared, and of the window in which the mean
+#: square of their difference is the variance of the noise, px.
+_WINDOW, _NOISE_WINDOW = 10.0, 20.0
 
 
 def direction_offsets(
@@ -66,7 +82,7 @@ def find_relief(
     Returns
     -------
     relief, half_difference : ndarray, shape (rows, cols)
-        The latter of what is coarser than all octaves.
+        `half_difference` is that of the two coarsest means.
 
     Notes
     -----
@@ -74,18 +90,19 @@ def find_relief(
     the variance of the relief h, and cov / var of their mean is the gain of the Wiener filter.
     """
 
-    def means(octave: tuple[float, ...]) -> NDArray:
-        total = blur(weight, octave[0])
-        return np.stack([ratio(blur(part * weight, octave[0]), total) for part in (along, down)])
+    def means(octave: Octave) -> NDArray:
+        total = blur(weight, octave.sigma)
+        parts = (blur(part * weight, octave.sigma) for part in (along, down))
+        return np.stack([ratio(part, total) for part in parts])
 
-    def restored(scales: tuple[NDArray, NDArray], octave: tuple[float, ...]) -> NDArray:
-        (a, b), (_, noise_correlation, noise_scatter) = np.subtract(*scales), octave
+    def restored(scales: tuple[NDArray, NDArray], octave: Octave) -> NDArray:
+        a, b = np.subtract(*scales)
         var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
         cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
         # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
         deviations = np.sqrt(var_a * var_b)
-        scatter = noise_scatter * np.maximum(deviations, np.sqrt(fourth))
-        snr = ratio(cov - noise_correlation * deviations, scatter)
+        scatter = octave.noise_scatter * np.maximum(deviations, np.sqrt(fourth))
+        snr = ratio(cov - octave.noise_correlation * deviations, scatter)
         significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
         var_mean = (var_a + var_b + 2 * cov) / 4
         gain = np.clip(ratio(cov, var_mean), 0, 1) * np.clip(significant, 0, 1)
@@ -152,11 +169,11 @@ def error_variance(
     depth : ndarray, shape (rows, cols)
         The depth; NaN where unknown.
     half_difference : ndarray, shape (rows, cols)
-        Half the difference of two independent depths, smoothed as widely.
+        Half the difference of two independent depths, after the mean of the coarsest octave.
     disagreement : ndarray, shape (rows, cols)
         Distance of the depths by the product and by the edge measure.
     settings : FocusSettings
-        FocusSettings of the smoothing.
+        Settings of the smoothing and of the stated errors.
 
     Returns
     -------
@@ -164,7 +181,7 @@ def error_variance(
         Variance, frames².
     """
     high = 2 * settings.jump
-    variance = np.maximum(blur(half_difference**2, 2 * _WINDOW), 0)
+    variance = np.maximum(blur(half_difference**2, _NOISE_WINDOW), 0)
     # Texture moves a depth along a slope.
     variance += settings.slope_error**2 * _squared_slope(depth)
     full = fill_nearest(depth)

@@ -21,18 +21,22 @@ class FocusSettings:
     #: real board are wrong where its peaks are 5.5 frames wide, instead of 0.2 %. With infinity no
     #: frames are averaged.
     width: float = 3.5
-    #: Smoothing of the second derivatives of the frame and of the frame at half size, px of each,
-    #: and windows of the fine and of the coarse measure: the fine scale locates the peak on a
-    #: slope, the coarse one stabilizes it on weak texture.
+    #: Smoothing of the second derivatives of the frame, px of the frame: the fine scale locates the
+    #: peak on a slope.
     fine_sigma: float = 0.8
+    #: Smoothing of the second derivatives of the frame at half size, px of that: the coarse scale
+    #: stabilizes the peak on weak texture.
     coarse_sigma: float = 1.0
+    #: Window over which the fine measure is averaged.
     fine_window_sigma: float = 0.6
+    #: Window over which the coarse measure is averaged.
     coarse_window_sigma: float = 1.15
     #: Mean from which the edge measure takes a pixel's deviation.
     edge_sigma: float = 2.0
     #: Side of the wide window, in every fourth pixel: wider than the halo of a strong edge.
     wide: int = 13
-    #: Difference in depth that is a step: nothing is smoothed beyond it, and relief is less.
+    #: Difference in depth that is a step. Neighbors that differ by more are not averaged; fine
+    #: relief is clipped to it.
     jump: float = 1.5
     #: Neighborhood of which half needs a depth. A separate piece of surface of half the area of a
     #: circle of this radius, or less, is removed.
