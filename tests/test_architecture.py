@@ -7,10 +7,12 @@ import re
 import subprocess
 import sys
 import tokenize
+import typing
 from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions, requires
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import microlib
@@ -235,3 +237,22 @@ def test_a_page_names_only_functions_that_exist():
         files = {"py", "md", "toml", "json", "ipynb", "npz", "txt", "csv"}
         wrong = sorted(n for last, n in named.items() if last not in known | files)
         assert not wrong, f"{page.name} names what is not there: {wrong}"
+
+
+def classes_in(annotation: object) -> set[type]:
+    """Return the classes of microlib that an annotation names, such as ``list[Track] | None``."""
+    inner = set().union(*map(classes_in, typing.get_args(annotation)))
+    own = inspect.isclass(annotation) and annotation.__module__.startswith("microlib")
+    return inner | {annotation} if own else inner
+
+
+@pytest.mark.parametrize("name", sorted(public()))
+def test_classes_that_public_functions_return_are_public(name):
+    value = resolve(name)
+    function = value.__call__ if inspect.isclass(value) else value
+    if inspect.isclass(value) and "__call__" not in vars(value):
+        return
+    returned = classes_in(typing.get_type_hints(function, localns={"pd": pd}).get("return"))
+    for found in returned - {Path}:
+        room = importlib.import_module(".".join(found.__module__.split(".")[:2]))
+        assert found.__name__ in room.__all__, f"{name} returns {found.__name__}"
