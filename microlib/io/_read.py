@@ -78,8 +78,8 @@ def read_frames(
         Side of the square blocks of pixels that are averaged to one.
     channel, time, series : int, optional
         Index, from zero, of the channel, the time or the series to read. Needed for a TIFF that has
-        more than one axis besides rows and columns. A TIFF whose metadata declare one channel or
-        one time has the index 0 of it; frames without that axis have none.
+        more than one axis besides rows and columns. If the metadata of a TIFF declare a single
+        channel or time, its index is 0. Frames without this axis accept no index.
 
     Returns
     -------
