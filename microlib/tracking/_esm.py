@@ -101,7 +101,7 @@ class Level:
         Grey values, and their gradient in x and y per px of the patch.
     mean, contrast : float
         Mean and standard deviation of the grey values.
-    noise : float
+    noise_gain : float
         Standard deviation that white noise of unit variance has at this level.
     mask : ndarray or None
         Share of each pixel of the padded patch that shows the object; None if all of it does.
@@ -121,7 +121,7 @@ class Level:
     gradient: Image
     mean: float
     contrast: float
-    noise: float
+    noise_gain: float
     mask: Image | None
     size: float
 
@@ -327,7 +327,7 @@ def make_level(
         gradient=gradient,
         mean=mean,
         contrast=float(np.sqrt(np.average((grey - mean) ** 2, weights=weight))),
-        noise=noise_gain(halvings, density, smoothing),
+        noise_gain=noise_gain(halvings, density, smoothing),
         mask=mask,
         size=float(weight.sum()),
     )

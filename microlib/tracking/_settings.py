@@ -36,7 +36,7 @@ class TrackerSettings:
         Motion of the corners (px) that ends a photometric alignment. Its weights change with every
         step, so that it converges more slowly than a plain alignment.
     min_agreement : float
-        Texture of the blocks that agree over that of all, from which on a pose needs no search.
+        Share of the texture, by blocks, that must agree with the frame so that no search follows.
     min_texture : float
         Sum of the variances of the blocks over that of the noise that this decision needs.
     max_sigma : float
@@ -66,6 +66,9 @@ class TrackerSettings:
         the other poses were wrong by more than 3 px or of a template that was absent.
     min_inlier_ratio : float
         Share of the points that must stay at the result of a search nearby: the majority.
+    min_uniqueness : float
+        Probability that a peak of the correlation must have of not being a lookalike, so that the
+        search for a lost template starts from it.
     lookalike_ncc : float
         Normalized correlation from which on another place of a frame may be a lookalike.
     near : float
@@ -137,6 +140,7 @@ class TrackerSettings:
     threshold: float = 0.7
     confidence_coefficients: tuple[float, ...] = (-3.64, 0.33, 4.16, -9.86, -1.45)
     min_inlier_ratio: float = 0.5
+    min_uniqueness: float = 0.5
     lookalike_ncc: float = 0.9
     near: float = 0.25
     apart: float = 3.0

@@ -20,7 +20,7 @@ class Track(FlatResult):
     corners : ndarray, shape (4, 2)
         Corners of the box as (x, y) in px, in the order of the box: first row left and right, last
         row right and left. When `lost` those where it was last seen (moved on by the Kalman filter,
-        if there is one); all numbers below but `confidence` are then NaN.
+        if there is one); all numbers below but `confidence` and `iterations` are then NaN.
     lost : bool
         Whether the template was not found.
     reason : str
@@ -36,9 +36,11 @@ class Track(FlatResult):
         The frame's grey values are ``gain``·template + ``bias``; if the light changes differently
         over the template, those at its middle.
     visible : float
-        Share of the template's pixels inside the frame.
+        Share of the object's pixels that the frame shows; where the photometric model was fitted,
+        without those that are saturated in the frame only.
     iterations : int
-        Steps of the accepted attempt, of all resolutions together; 0 when `lost`.
+        Steps of the accepted alignment: of both levels of a plain one, of the last level of a
+        photometric one; 0 when `lost`.
     covariance : ndarray, shape (2, 2)
         Covariance of `center` in px², from the residual of the alignment and how it varies over the
         template.

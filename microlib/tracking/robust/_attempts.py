@@ -35,8 +35,10 @@ def search_nearby(search: Search, before: Sequence[Candidate]) -> Candidate | No
     A template that was lost is searched for in the whole frame. A pose that most points of the
     template leave may be that of a part that resembles it. It is left to the search far away.
     """
+    settings = search.template.settings
     matches = [] if search.seen else search.match_poses()
-    starts = [search.pose, *(pose for pose in matches if search.uniqueness(pose) > 0.5)]
+    unique = [pose for pose in matches if search.uniqueness(pose) > settings.min_uniqueness]
+    starts = [search.pose, *unique]
     # A match is a pixel of the coarsest level, too far off for fine texture to agree.
     starts = [search.pose, *search.align_starts(starts)]
     starts += [] if search.flow_pose is None else [search.flow_pose]
@@ -45,7 +47,7 @@ def search_nearby(search: Search, before: Sequence[Candidate]) -> Candidate | No
     if best is None:
         return None
     candidate, inlier_ratio = best
-    most_stay = inlier_ratio > search.template.settings.min_inlier_ratio
+    most_stay = inlier_ratio > settings.min_inlier_ratio
     return candidate if most_stay or not search.seen else replace(candidate, confidence=0.0)
 
 
@@ -63,7 +65,8 @@ ATTEMPTS: tuple[Attempt, ...] = (align_from_pose, search_nearby, search_far)
 def find_template(search: Search, attempts: Sequence[Attempt]) -> Candidate:
     """Return the first pose that is confident enough, with no reason for a loss.
 
-    If there is none, return the most probable pose, of the last attempts, with the reason.
+    If there is none, return the most probable pose with the reason; of equally probable ones that
+    of the last attempt.
     """
     threshold = search.template.settings.threshold
     candidates: list[Candidate] = []

@@ -22,7 +22,7 @@ class Blocks:
 
     `count` is the sum of the weights of the pixels, `visible` that sum over the largest of them,
     `square` the squared correlation, `unexplained` the variance of the image that is not linear in
-    the template, and `noise` the variance of the difference of two images of the same.
+    the template, and `noise_variance` the variance of the difference of two images of the same.
     """
 
     count: Array
@@ -33,7 +33,7 @@ class Blocks:
     gg: Array
     tg: Array
     square: Array
-    noise: float
+    noise_variance: float
     settings: TrackerSettings
 
     @property
@@ -62,19 +62,19 @@ class Blocks:
         weight = np.where(information > unrelated, information * self.visible, 0.0)
         off = gain - _weighted_median(gain, weight)
         score = np.maximum(information - unrelated - off**2, 0)
-        expected = self.noise + self.settings.interpolation_error * self.gg
+        expected = self.noise_variance + self.settings.interpolation_error * self.gg
         return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
 
     @cached_property
     def texture(self) -> Array:
         """Variance of the image over that of the noise, minus 1, in the visible part of a block."""
         most = self.settings.max_block_weight
-        return np.clip(self.gg / self.noise - 1, 0, most) * self.visible
+        return np.clip(self.gg / self.noise_variance - 1, 0, most) * self.visible
 
     def agree(self) -> bool:
         """Return whether all blocks agree, by their texture, and have enough texture for that."""
         # Interpolation leaves at most 2 % of a block's variance.
-        is_noise = self.unexplained <= 3 * self.noise + 0.02 * self.gg
+        is_noise = self.unexplained <= 3 * self.noise_variance + 0.02 * self.gg
         texture, total = self.texture, float(self.texture.sum())
         most = texture @ is_noise >= self.settings.min_agreement * total
         return bool(most and total >= self.settings.min_texture)
@@ -97,7 +97,7 @@ def compare(
 ) -> Blocks:
     """Compare template and image, H×W, block by block.
 
-    `weight` is that of the pixels, and `noise` their standard deviation.
+    `weight` is that of the pixels, and `noise` the standard deviation of their noise.
     """
     wt, wg = weight * template, weight * grey
     products = np.stack([weight, wt, wg, wt * template, wg * grey, wt * grey])
@@ -117,7 +117,7 @@ def compare(
         gg=gg,
         tg=tg,
         square=np.where(tg > 0, np.minimum(tg * tg / (tt * gg), 0.9999), 0.0),
-        noise=2.0 * noise**2,
+        noise_variance=2.0 * noise**2,
         settings=settings,
     )
 

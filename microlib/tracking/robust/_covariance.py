@@ -28,7 +28,7 @@ def corner_covariance(level: Level, fit: Alignment, slope: Image) -> Array:
         fit.residual,
         fit.weight,
         slope,
-        transmission=level.noise**2,
+        transmission=level.noise_gain**2,
         smoothing=level.settings.residual_smoothing,
         wanted=len(level.basis),
     )

@@ -31,7 +31,7 @@ class Candidate:
     hidden : ndarray of bool, shape (height, width)
         Pixels of the template that the frame does not show; empty if the alignment failed.
     reason : str
-        Why the template counts as lost, if it does.
+        Reason for a loss that holds unless the candidate is accepted.
     """
 
     fit: Alignment
@@ -67,7 +67,11 @@ def judge_photometric(
     covariance = corner_covariance(template.photometric[0], fit, fit.psi_slope)
     covariance *= settings.covariance_factor
     sigma = largest_sigma(covariance)
-    clear = sigma < settings.max_sigma and fit.noise < settings.max_residual and fit.blocks.agree()
+    clear = (
+        sigma < settings.max_sigma
+        and fit.noise_ratio < settings.max_residual
+        and fit.blocks.agree()
+    )
     if plain is not None and not clear:
         difference = max(template.distance(fit.pose, plain.pose), sigma)
         confirms = blocks_agree(template, plain, settings.changed_ground)

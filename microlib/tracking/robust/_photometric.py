@@ -32,7 +32,7 @@ class PhotometricFit(Alignment):
     ----------
     blocks : Blocks
         Parts of the image beside those of the template in the fitted light, blur and tone.
-    noise : float
+    noise_ratio : float
         Robust standard deviation of the residual over the noise.
     psi_slope : ndarray, shape (H, W)
         Derivative of the M-estimator's ψ, weight times residual, by the residual.
@@ -41,7 +41,7 @@ class PhotometricFit(Alignment):
     """
 
     blocks: Blocks
-    noise: float
+    noise_ratio: float
     psi_slope: Image
     hidden: Image
 
@@ -69,7 +69,7 @@ class PhotometricLevel(Level):
         Each iteration is a step of ESM on the motion and the coefficients of all columns, by
         iteratively reweighted least squares with Tukey's biweight.
         """
-        n, noise, settings, start = len(self.basis), noise * self.noise, self.settings, pose
+        n, noise, settings, start = len(self.basis), noise * self.noise_gain, self.settings, pose
         tolerance = settings.robust_tolerance * 2**self.halvings
         grey, gradient, weight = self.patch(image, pose, saturation)
         inliers = inlier_weight(self, grey, weight, noise).ravel()
@@ -114,7 +114,7 @@ class PhotometricLevel(Level):
             residual=residual,
             weight=robust,
             blocks=compare(grey, model.reshape(shape), weight, noise, settings),
-            noise=scale / noise,
+            noise_ratio=scale / noise,
             psi_slope=_tukey_slope(robust, residual, TUKEY_LIMIT * scale),
             hidden=_hidden(
                 np.where(self.weight > 0, residual, 0), model.reshape(shape), noise, settings.window

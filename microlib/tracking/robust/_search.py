@@ -102,10 +102,10 @@ class Search:
     def uniqueness(self, pose: Array) -> float:
         """Return the probability that a pose is not that of a lookalike.
 
-        The template moves by a from the expected pose, the nearest lookalike by b from its own, and
-        the result is b/(a + b). A motion by less than a quarter of the template meets only
-        lookalikes that its first frame shows. These repeat on all sides in a periodic texture, so
-        that the result is 1 − a/b.
+        The result is b/(a + b). Here, a is the distance of this pose from the expected one, and b
+        is the distance by which the nearest lookalike would have moved to reach this pose. A motion
+        by less than a quarter of the template meets only lookalikes that its first frame shows.
+        These repeat on all sides in a periodic texture, so that the result is 1 − a/b.
         """
         template = self.template
         offset = template.displacement(self.pose, pose)

@@ -89,7 +89,7 @@ class SearchTemplate:
         """Return the score of a pose from the blocks of the template in one of its blurs."""
         level = self.blurred[blur]
         grey, _, weight = level.patch(frame.layer(level.halvings), pose, frame.saturation)
-        noise = frame.noise * level.noise
+        noise = frame.noise * level.noise_gain
         return compare(grey, level.grey, weight, noise, self.settings).score()
 
     def align_photometric(
