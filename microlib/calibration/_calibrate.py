@@ -172,7 +172,8 @@ def _mark_numbers(photographs: Photographs, fit: Fit) -> NDArray[np.intp] | None
     """
     places = photographs.mark_places
     if places is None and len(photographs.world) > 1:
-        places = np.round(np.concatenate(photographs.world), 6)
+        world = np.concatenate(photographs.world)
+        places = np.round(world / np.abs(world).max(), 9)
     if places is None:
         return None
     numbers = np.unique(places, axis=0, return_inverse=True)[1].ravel()

@@ -240,12 +240,21 @@ def least_squares_fit(
     if found.status == 0 and len(poses) > 1 and found.cost > len(image):
         raise photographs.refusal
     differences, jacobian = evaluate(found.x.tobytes())
+    lens, poses = split(found.x)
     signs, principal = np.ones(len(start)), LENS.index("inverse_principal")
-    if split(found.x)[0][principal] < 0:
-        # The images are equal with −1/(T_op + f) and the opposite tilts (β, γ).
+    pose_signs = signs[first:].reshape(poses.shape)
+    behind = (poses[:, 0] < 0) & (photographs.focal_length is None)
+    # The image of a plane is equal with −M, −T_x, −T_y, the opposite tilt (β, γ), and α + π.
+    pose_signs[behind] = [-1, 1, -1, -1, -1, -1]
+    if lens[principal] < 0:
+        # The images are equal with −1/(T_op + f) and the opposite tilts.
         signs[principal] = -1
-        signs[first:].reshape(poses.shape)[:, [POSE.index("beta"), POSE.index("gamma")]] = -1
+        pose_signs[:, 2:4] *= -1
+    over = np.cos(poses[:, 2]) < 0  # the rotations (α, β, γ) and (α + π, π − β, γ + π) are equal
+    pose_signs[over, 2] *= -1
     lens, poses = split(found.x * signs[free])
+    poses[behind, 1] += np.pi
+    poses[over, 1:4] += np.pi
     poses[:, 1:4] = np.angle(np.exp(1j * poses[:, 1:4]))  # to (−π, π]
     return Fit(lens, poses, free, -differences, jacobian * signs[free])
 

@@ -36,6 +36,8 @@ def photographs_of(
     world: Any, image: Any, pitch: float | None, image_size: Any, **camera: Any
 ) -> Photographs:
     """Points of each view, from the arguments of `calibrate`; `camera` has its other fields."""
+    if isinstance(world, (list, tuple)) and not world:
+        raise ValueError("world must hold at least one view, got an empty list")
     several = isinstance(world, (list, tuple)) and (
         isinstance(world[0], Detection) or np.ndim(world[0]) > 1
     )
