@@ -124,8 +124,8 @@ def servo(
         Longest time that a move may take, s.
     progress : callable, optional
         Called with each row of the log, a dict, as it is complete. The last row, which is added
-        after the stop, is not sent. If the run ends early, neither is a row that an error leaves
-        incomplete, or the row of a feature that is lost before the first target.
+        after the stop, is not sent. If the run ends early, the row of its last frame may be
+        missing, too. The log of the result contains both.
 
     Returns
     -------
