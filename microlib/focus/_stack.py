@@ -20,18 +20,16 @@ Progress = Callable[[int, int], object]
 
 #: Width of a margin that the windows of the measures add to a black one, px.
 _WINDOW = 6
-#: Axes of a file along which the focus does not change.
-_NO_FOCUS = {"T": "times", "C": "channels"}
 
 
 def read_stack(
     source: Stack, positions: ArrayLike | None, spacing: float | None, progress: Progress
 ) -> Stack:
     """Return a stack in memory, with its positions; check first what needs no frame."""
-    if source.axis in _NO_FOCUS:
+    if source.axis == "T":
         raise ValueError(
-            f"frames must differ in focus, got a file of {source.count} {_NO_FOCUS[source.axis]} "
-            f"(axis {source.axis}); if they do, pass the array, as tifffile.imread gives it"
+            f"frames must differ in focus, got a file of {source.count} times (axis T); if they "
+            'do, axis="T" of read_frames (--axis T) says so'
         )
     z, count = None, source.count
     if spacing is None:

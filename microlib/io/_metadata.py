@@ -45,26 +45,33 @@ def tiff_scale(tiff: tifffile.TiffFile, name: str, count: int, choice: Choice) -
 def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
     sizes = [f"PhysicalSize{axis}" for axis in "XYZ"]
     x, y, step = (_micrometers(pixels.get(key), pixels.get(f"{key}Unit", "µm")) for key in sizes)
-    wanted = choice.get("channel", 0), choice.get("time", 0)
+    number = f"The{choice.get('axis', 'Z')}"  # which counts the frames
+    wanted = {"TheC": choice.get("channel", 0), "TheT": choice.get("time", 0), "TheZ": 0}
+    del wanted[number]
     planes = sorted(
-        (p for p in _as_list(pixels.get("Plane", [])) if (p.get("TheC"), p.get("TheT")) == wanted),
-        key=lambda plane: plane.get("TheZ", 0),
+        (p for p in _as_list(pixels.get("Plane", [])) if wanted.items() <= p.items()),
+        key=lambda plane: plane.get(number, 0),
     )
     # Positions without a unit of length are in one of the microscope's own.
     named = all(str(p.get("PositionZUnit")) in MICROMETERS for p in planes)
     z = np.array(
         [_micrometers(p.get("PositionZ"), p["PositionZUnit"] if named else "µm") for p in planes]
     )
-    gaps = np.diff(z)
-    size = _square(x, y, name)
-    if not len(z) == count > 1 or not ((gaps > 0).all() or (gaps < 0).all()):
-        return size, _even_positions(step, count)
-    apart = abs(gaps.mean())
-    unit, used = ("µm", "former") if named else ("(no unit)", "latter")
-    if abs(apart - step) > 0.1 * step:
-        both = f"planes {apart:g} {unit} apart and a spacing of {step:g} µm"
-        warnings.warn(f"{name} has {both}: the {used} is used", stacklevel=2)
-    return size, z if named else _even_positions(step, count)
+    size, even = _square(x, y, name), _even_positions(step, count)
+    if not len(z) == count > 1 or not np.isfinite(z).all():
+        return size, even
+    gaps, unit = np.diff(z), "µm" if named else "(no unit)"
+    apart, rises = abs(gaps.mean()), (gaps > 0).all() or (gaps < 0).all()
+    planes = f"planes {apart:g} {unit} apart"
+    if not rises:
+        k = np.argmin(gaps * (np.sign(gaps.sum()) or 1))
+        planes = f"planes that do not all rise or fall, as {z[k]:g} and {z[k + 1]:g} {unit}"
+    used = "former" if named and rises else "latter"
+    if even is not None and (abs(apart - step) > 0.1 * step or not rises):
+        warnings.warn(
+            f"{name} has {planes}, and a spacing of {step:g} µm: the {used} is used", stacklevel=2
+        )
+    return size, z if used == "former" else even
 
 
 def _as_list(value: Any) -> list[Any]:

@@ -17,6 +17,7 @@ from microlib._common import (
     Frames,
     Region,
     as_array,
+    as_choice,
     as_integer,
     as_region,
     home_path,
@@ -48,6 +49,7 @@ def read_frames(
     color: bool | None = None,
     region: Region | None = None,
     reduce: int = 1,
+    axis: str | None = None,
     channel: int | None = None,
     time: int | None = None,
     series: int | None = None,
@@ -76,6 +78,9 @@ def read_frames(
         Part of the frames, (x, y, width, height) in px.
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
+    axis : {"C", "T", "Z"}, optional
+        Letter of the axis along which the frames of a TIFF come. Needed for a focal stack whose
+        axis the file calls that of channels C or times T, and for a film along C.
     channel, time, series : int, optional
         Index, from zero, of the channel, the time or the series to read. Needed for a TIFF that has
         more than one axis besides rows and columns. If the metadata of a TIFF declare a single
@@ -121,7 +126,11 @@ def read_frames(
     by = as_integer("reduce", reduce, least=1)
     part = None if region is None else as_region("region", region)
     wanted = {"channel": channel, "time": time, "series": series}
-    choice = {key: as_integer(key, n, least=0) for key, n in wanted.items() if n is not None}
+    choice: Choice = {
+        key: as_integer(key, n, least=0) for key, n in wanted.items() if n is not None
+    }
+    if axis is not None:
+        choice["axis"] = as_choice("axis", axis, ("C", "T", "Z"))
     stack = frames if isinstance(frames, Stack) else _open(frames, choice)
     if choice:  # which the reader has not applied
         name, number = choice.popitem()

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, Image, Result
 
-#: The channel, time and series that were asked for; a reader removes the ones it applied.
-Choice = dict[str, int]
+#: The axis, channel, time and series that were asked for; a reader removes those it applied.
+Choice = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,7 +33,8 @@ class Stack(Result, Iterable[Image]):
     count : int or None
         Number of frames; None if it is known only after they were read.
     axis : str
-        Letter of the axis of frames in a file's metadata, such as Z or T; empty if there is none.
+        Letter of the axis of frames in a file's metadata, such as Z or T; empty if there is none,
+        or if `read_frames` was told which axis it is.
     positions : ndarray, shape (count,), or None
         Position of each frame along the optical axis, µm.
     pixel_size : float or None
@@ -119,17 +120,18 @@ def select_frames(
     shape : sequence of int
         Their lengths.
     choice : dict
-        The channel and the time to read; the axis that is left counts the frames.
+        The channel and the time to read; the axis that is left counts the frames, and is the one
+        that the choice names, if it does.
 
     Returns
     -------
     list of tuple of int
         The indices, in order.
     str
-        Letter of the axis of frames, empty if every axis has the length 1.
+        Letter of the axis of frames, empty if the choice names it or every axis has the length 1.
     """
     ranges: list[Sequence[int]] = []
-    left = ""
+    left, named = "", choice.pop("axis", None)
     for axis, length in zip(axes, shape, strict=True):
         number = choice.pop({"C": "channel", "T": "time"}.get(axis, ""), None)
         if number is None:
@@ -139,14 +141,14 @@ def select_frames(
             ranges.append([number])
         else:
             raise ValueError(f"it has {length} along axis {axis}, got number {number} (from 0)")
-    if len(left) > 1 or left == "C":
+    if (left not in ("", named)) if named else (len(left) > 1 or left == "C"):
         several = ((axis, n) for axis, n in zip(axes, shape, strict=True) if n > 1)
         lengths = ", ".join(f"{axis}={n}" for axis, n in several)
         raise ValueError(
-            f"it has the axes {lengths} besides rows and columns, a stack has one and no channels "
-            "C: choose a channel or a time, or pass an array of shape (frames, rows, cols)"
+            f"it has the axes {lengths} besides rows and columns, a stack has one: choose a "
+            'channel or a time, or axis="C" (--axis C) if the frames come along C'
         )
-    return list(product(*ranges)), left
+    return list(product(*ranges)), "" if named else left
 
 
 def check_axis_of_frames(shape: Sequence[int]) -> None:

@@ -226,6 +226,35 @@ def test_channel_and_time_select_a_stack(
         read_frames(path, **dict.fromkeys(choice, count))
 
 
+@pytest.mark.parametrize("kind", make.TIFFS)
+@pytest.mark.parametrize(
+    ("axes", "axis", "choice", "frames"),
+    [
+        ("CYX", "C", {}, range(6)),
+        ("TYX", "T", {}, range(6)),
+        ("ZYX", "Z", {}, range(6)),
+        ("TCYX", "C", {"time": 1}, [2, 3]),
+        ("TCYX", "T", {"channel": 1}, [1, 3, 5]),
+    ],
+)
+def test_axis_of_a_stack_can_be_named(stack, tmp_path, kind, axes, axis, choice, frames):
+    """As Python programs save a focal stack by default, or Fiji does."""
+    many = stack[:6] if len(axes) == 3 else stack[:6].reshape(3, 2, *stack.shape[1:])
+    path = make.tiff_of(kind, tmp_path, many, axes)
+    assert_frames(path, stack[frames], axis=axis, **choice)
+    assert read_frames(path, axis=axis, **choice).axis == ""
+    for other in {"C", "T", "Z"} - {axis}:
+        with pytest.raises(ValueError, match=r'choose a channel or a time, or axis="C" \(--axis C'):
+            read_frames(path, axis=other, **choice)
+
+
+def test_axis_is_rejected_where_there_is_none(stack):
+    with pytest.raises(ValueError, match="axis must be left out for frames without that axis, got"):
+        read_frames(stack, axis="C")
+    with pytest.raises(ValueError, match="axis must be one of C, T, Z, got 'X'"):
+        read_frames(stack, axis="X")
+
+
 @pytest.mark.parametrize("axis", ["Z", "T", "Q"])
 @pytest.mark.parametrize("color", [False, True])
 def test_axis_of_frames_is_read_from_metadata(stack, tmp_path, axis, color):

@@ -113,8 +113,11 @@ def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolutio
         ([0.4, 0.2, 0.1], "mm", 150, [400, 200, 100], None),
         ([5, 12, 19], "µm", None, [5, 12, 19], None),
         ([5, 12, 19], None, None, None, None),  # without a unit
-        # Positions that are not monotonic.
-        *((z, "µm", 9, [0, 9, 18], None) for z in ([1, 4, 2], [1, 1, 2], [1, float("nan"), 2])),
+        # Positions that are not monotonic contradict any spacing, those that are missing do not.
+        *((z, "µm", 9, [0, 9, 18], "latter") for z in ([1, 4, 2], [1, 1, 2], [7, 7, 7], [0, 9, 0])),
+        ([1, 1, 1], None, 9, [0, 9, 18], "latter"),
+        ([1, 4, 2], "µm", None, None, None),
+        ([1, float("nan"), 2], "µm", 9, [0, 9, 18], None),
     ],
 )
 def test_ome_positions_with_a_unit_are_used_and_disagreement_gives_a_warning(
@@ -136,6 +139,23 @@ def test_positions_belong_to_the_selected_channel_and_time(tmp_path):
     metadata = {"axes": "TZCYX", "Plane": planes(np.ravel(z).tolist(), "µm")}
     path = tiff(tmp_path / "a.ome.tif", many, metadata=metadata)
     assert read_frames(path, channel=1, time=1).positions == pytest.approx([25, 26, 28])
+
+
+def test_warning_of_positions_that_are_not_monotonic_names_them_and_the_spacing(tmp_path):
+    path = write_ome(tmp_path, PhysicalSizeZ=9, Plane=planes([40, 30, 50], "µm"))
+    message = r"not all rise or fall, as 40 and 30 µm, and a spacing of 9 µm: the latter is used"
+    with pytest.warns(UserWarning, match=message):
+        read_frames(path)
+
+
+@pytest.mark.parametrize("axis", ["C", "T"])
+def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
+    about = {"PhysicalSizeZ": 9, "axes": f"{axis}YX"}
+    assert read_frames(write_ome(tmp_path, **about), axis=axis).positions == pytest.approx(
+        np.array([0, 9, 18])
+    )
+    path = write_ome(tmp_path, **about, Plane=planes([4, 12, 22], "µm"))
+    assert read_frames(path, axis=axis).positions == pytest.approx(np.array([4, 12, 22]))
 
 
 def test_positions_follow_the_numbers_of_the_planes(tmp_path):
