@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,6 +21,8 @@ PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp",
 #: Videos with an index of their frames, and others, whose number OpenCV computes from times.
 _INDEXED = frozenset({".avi", ".mp4", ".m4v", ".mov"})
 FILMS = _INDEXED | {".mkv", ".mpg", ".mpeg", ".webm", ".wmv"}
+#: A marker of JPEG other than those within the data of a scan.
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 
 
 def check_exists(path: Path) -> None:
@@ -28,8 +31,8 @@ def check_exists(path: Path) -> None:
         raise ValueError(f"frames cannot be read from {path}: no such file")
 
 
-def image_files(path: Path) -> list[Path]:
-    """Return the images in a folder or of a pattern, without pictures and maps of earlier results.
+def image_files(*paths: Path) -> list[Path]:
+    """Return files, and images in folders or of patterns, without those of earlier results.
 
     Examples
     --------
@@ -39,6 +42,20 @@ def image_files(path: Path) -> list[Path]:
     Traceback (most recent call last):
     ValueError: frames must hold images, got none in no such folder/*.png
     """
+    files = [file for path in paths for file in _files_of(path)]
+    results = [file for file in files if _read_exif(file)[1] == SOFTWARE]
+    if results and len(results) < len(files):
+        warnings.warn(
+            f"{', '.join(file.name for file in results)}: results, left out", stacklevel=2
+        )
+        files = [file for file in files if file not in results]
+    return files
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return a file, or the images in a folder or of a pattern."""
+    if path.is_file():
+        return [path]
     if path.is_dir():
         files = [file for file in path.iterdir() if file.suffix.lower() in PICTURES]
     elif path.parent.is_dir():  # which may have brackets in its name
@@ -46,15 +63,10 @@ def image_files(path: Path) -> list[Path]:
     else:
         files = [Path(name) for name in glob.glob(str(path))]
     files = sorted(file for file in files if file.name[0] != ".")
-    results = [file for file in files if _read_exif(file)[1] == SOFTWARE]
-    if results and len(results) < len(files):
-        warnings.warn(
-            f"{', '.join(file.name for file in results)}: results, left out", stacklevel=2
-        )
-        files = [file for file in files if file not in results]
     if not files:
         check_exists(path)
-        raise ValueError(f"frames must hold images, got none in {path}")
+        kinds = f": they must end in {', '.join(sorted(PICTURES))}" if path.is_dir() else ""
+        raise ValueError(f"frames must hold images, got none in {path}{kinds}")
     return files
 
 
@@ -95,8 +107,7 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
     with reading(f"frames cannot be read from {file}"):
         # Not imread, which fails on names outside the system's encoding.
         data = file.read_bytes()
-        # OpenCV fills up a JPEG that ends in zeros: the end marker must follow the last scan.
-        cut = data[:2] == b"\xff\xd8" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
+        cut = data[:2] == b"\xff\xd8" and not _has_jpeg_end(data)  # OpenCV fills it up
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
         flags |= 0 if turn else cv2.IMREAD_IGNORE_ORIENTATION
         try:
@@ -104,9 +115,19 @@ def read_picture(file: Path, turn: bool = True) -> NDArray:
         except cv2.error:  # of nothing at all, or more than 2³⁰ px
             image = None
         if image is None:
-            raise ValueError("damaged, too large or of an unknown format")
+            known = file.suffix.lower() in PICTURES
+            kinds = "" if known else f"; pictures that can be read: {', '.join(sorted(PICTURES))}"
+            raise ValueError(f"damaged, too large or of an unknown format{kinds}")
     # OpenCV puts blue first.
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _has_jpeg_end(data: bytes) -> bool:
+    """Return whether the marker of the end follows the segments of a JPEG; a video may follow."""
+    at = 2
+    while (marker := _JPEG_MARKER.search(data, at)) and marker[0] != b"\xff\xd9":
+        at = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
+    return marker is not None
 
 
 def open_film(path: Path) -> Stack:

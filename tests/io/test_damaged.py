@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from microlib.io import read_frames, read_grey
 from tests.io import make
@@ -93,6 +94,10 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     ("no such file", lambda to, _: [to]),
     (r"a\.nd2 has an unknown suffix: microlib reads \.avi, .*\.tif, .*\.tiff",
         lambda to, _: make.content(to / "a.nd2", b"abcd")),
+    (r"frames must hold images, got none in .*: they must end in \.bmp, \.jpeg,",
+        lambda to, _: make.content(to / "a.heic", b"abcd").parent),
+    (r"a\.heic: damaged, too large or of an unknown format; pictures that can be read: \.bmp, \.j",
+        lambda to, _: [make.content(to / "a.heic", b"abcd")]),
     (r"a\.mp4: not a video", lambda to, _: make.content(to / "a.mp4", b"no film")),
     # Arrays.
     (r"frames\[3\] must be finite, got 1 NaN",
@@ -140,6 +145,21 @@ def test_jpeg_whose_rest_was_not_copied_is_rejected(tmp_path):
     make.content(files[1], whole[: len(whole) * 2 // 3].ljust(len(whole), b"\0"))
     with pytest.raises(ValueError, match=r"whole\.jpg: damaged"):
         read_grey(files[1])
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+def test_video_behind_a_jpeg_is_ignored(tmp_path, progressive):
+    """Phones store one, in which any markers occur; a JPEG that is cut before it is damaged."""
+    image = Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 48), np.uint8))
+    path = tmp_path / "PXL_1.MP.jpg"
+    image.save(path, progressive=progressive, quality=95)
+    whole, alone = path.read_bytes(), read_grey(path)
+    for video in (b"\xff\xda", b"\xff\xd9\0\xff\xda\0", b"\xff\xd8\xff\xda\0\0"):
+        make.content(path, whole + b"\0\0\0\x18ftypmp42" + video)
+        np.testing.assert_array_equal(read_grey(path), alone)
+    make.content(path, whole[: len(whole) // 2] + b"\0" * 999)
+    with pytest.raises(ValueError, match=r"MP\.jpg: damaged"):
+        read_grey(path)
 
 
 @pytest.mark.parametrize(
