@@ -579,7 +579,8 @@ def test_written_files_stay_when_a_later_file_fails(
     out = folder if line == STACK else folder / "out.csv"
     found, printed = status(line, out, ""), capsys.readouterr().err
     if owner is io or stopped:
-        reason = "stopped" if stopped else f"{out}: No space left on device"
+        file = out / ("surface.ply" if kept else "height.ome.tif")
+        reason = "stopped" if stopped else f"{file}: No space left on device"
         assert (found, printed) == (
             130 if stopped else 2,
             f"microlib {line.split()[0]}: {reason}\n",
@@ -587,7 +588,7 @@ def test_written_files_stay_when_a_later_file_fails(
     else:  # a picture, without which the numbers are complete
         assert (found, printed.count("\n")) == (0, 1)
         assert printed.startswith("note: ")
-        assert printed.endswith(f" is not written: {out}: No space left on device\n")
+        assert re.search(r"(\S+) is not written: \S+/\1: No space left on device\n$", printed)
         kept = [*kept, "out_look"] if fails == "plot_track" else kept
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
@@ -699,6 +700,45 @@ def test_results_in_the_input_folder_are_ignored(line, out, tmp_path, capsys, mo
     assert status(line, out, "--overwrite") == 0
     assert re.search(r"look\.png.*: results, left out", capsys.readouterr().err)
     assert {file: file.read_bytes() for file in results} == results
+
+
+def test_files_on_the_command_line_are_read_in_natural_order(tmp_path, capsys):
+    """A shell replaces a pattern by names in an order without regard to numbers."""
+    frames = tifffile.imread(INPUTS / "focal_stack.tif")
+    for k, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"f{k}.png"), frame)
+    files = sorted(map(str, tmp_path.glob("*.png")))
+    assert files[1].endswith("f1.png")
+    assert files[2].endswith("f10.png")
+    line = ["depth", *files, "--spacing", "25", "--pixel-size", "3.9", "-o", str(tmp_path / "out")]
+    assert main(line) == 0
+    printed = capsys.readouterr()
+    assert f"{len(frames)} files, from f0.png to f{len(frames) - 1}.png" in printed.out
+    assert not printed.err
+    found = tifffile.imread(tmp_path / "out" / "height.ome.tif")
+    np.testing.assert_allclose(found, depth_from_focus(frames, spacing=25.0).depth, rtol=1e-5)
+    # The picture of the result is no frame.
+    again = ["depth", *files, str(tmp_path / "out" / "look.png"), *line[-6:], "--overwrite"]
+    assert main(again) == 0
+    assert "look.png: results, left out" in capsys.readouterr().err
+    assert main(["depth", *files[:2], *line[-6:], "--overwrite"]) == 2
+    assert "f0.png, " in (error := capsys.readouterr().err)
+    assert "f1.png must hold three frames or more, got 2" in error
+
+
+@pytest.mark.parametrize("axes", ["C", "T"])
+def test_axis_of_a_stack_is_given_as_its_error_says(axes, tmp_path, capsys):
+    """As `tifffile.imwrite` labels an array by default, and Fiji a stack of slices."""
+    frames = tifffile.imread(INPUTS / "focal_stack.tif")
+    tifffile.imwrite(
+        path := tmp_path / "a.tif", frames, imagej=True, metadata={"axes": f"{axes}YX"}
+    )
+    line = f"depth {path} --spacing 25 --pixel-size 3.9"
+    assert status(line, tmp_path / "out") == 2
+    (axis,) = re.findall(r"\((--axis .)\)", capsys.readouterr().err)
+    assert status(f"{line} {axis}", tmp_path / "out") == 0
+    found = tifffile.imread(tmp_path / "out" / "height.ome.tif")
+    np.testing.assert_allclose(found, depth_from_focus(frames, spacing=25.0).depth, rtol=1e-5)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp932"])

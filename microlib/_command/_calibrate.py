@@ -70,8 +70,7 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
     from microlib.calibration import detect_pattern
     from microlib.io import image_files, read_grey
 
-    paths = [home_path(name) for name in source]
-    photos = [file for path in paths for file in ([path] if path.is_file() else image_files(path))]
+    photos = image_files(*map(home_path, source))
     session.protect(photos)
     views: Views = {}
     fault = ""

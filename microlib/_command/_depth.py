@@ -25,8 +25,8 @@ FILES = (*_MAPS, "surface.ply", "summary.json", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    stack = "TIFF, OME-TIFF, video, folder or quoted pattern; one frame at each position"
-    parser.add_argument("source", metavar="STACK", help=stack)
+    stack = "TIFF, OME-TIFF, video, folder, or pictures, in the natural order of their names"
+    parser.add_argument("source", metavar="STACK", nargs="+", help=stack)
     options.add_scales(parser, "spacing", "pixel_size")
     options.add_axes(parser)
     parser.add_argument(
@@ -48,7 +48,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     frames = options.open_frames(a, session)
     if frames.count is not None and frames.count < 3:
-        raise ValueError(f"{a.source} must hold three frames or more, got {frames.count}")
+        raise ValueError(
+            f"{', '.join(a.source)} must hold three frames or more, got {frames.count}"
+        )
     z = frames.positions
     spacing = None if z is None else float(np.diff(z).mean())
     scales = options.resolve_scales(

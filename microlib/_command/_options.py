@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from microlib._command._session import Session, option
-from microlib._common import PHYSICAL_RANGES, as_scalar
+from microlib._common import PHYSICAL_RANGES, as_scalar, home_path
 
 if TYPE_CHECKING:
     from microlib.io import Stack
@@ -83,6 +83,8 @@ def resolve_scales(
 
 def add_axes(parser: argparse.ArgumentParser) -> None:
     """Add the choice among the axes of a file that has more than a stack."""
+    labels = "letter of the axis of frames, if a TIFF calls that of a focal stack T or C"
+    parser.add_argument("--axis", choices=["C", "T", "Z"], help=labels)
     for name in ("channel", "time", "series"):
         parser.add_argument(
             option(name), type=int, metavar="N", help=f"{name} to read, counted from 0"
@@ -91,10 +93,13 @@ def add_axes(parser: argparse.ArgumentParser) -> None:
 
 def open_frames(a: argparse.Namespace, session: Session) -> Stack:
     """Return the frames, whose files are printed and cannot be overwritten."""
-    from microlib.io import read_frames
+    from microlib.io import image_files, in_order, read_frames
 
-    choice = {name: getattr(a, name) for name in ("channel", "time", "series")}
-    frames = read_frames(a.source, color=True, **choice)
+    source = a.source[0]
+    if len(a.source) > 1:  # as a shell makes of a pattern, in an order without regard to numbers
+        source = in_order(image_files(*map(home_path, a.source)))
+    choice = {name: getattr(a, name) for name in ("axis", "channel", "time", "series")}
+    frames = read_frames(source, color=True, **choice)
     session.protect(frames.files)
     if len(frames.files) > 1:
         first, *_, last = frames.files

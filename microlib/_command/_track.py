@@ -18,7 +18,8 @@ FILES = ("table", "look.png", "look.mp4")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="FILM", help="video, TIFF, folder or quoted pattern")
+    film = "video, TIFF, folder, or pictures, in the natural order of their names"
+    parser.add_argument("source", metavar="FILM", nargs="+", help=film)
     box = "box around the part in the first frame, px"
     parser.add_argument("--box", required=True, help=box, **options.BOX)
     mask = "image of the frame's size that is not black where the box shows the part"

@@ -62,6 +62,8 @@ def replace_file(path: str | PathLike[str], write: Callable[[Path], object]) -> 
         if old:
             shutil.copymode(target, new)
         os.replace(new, target)
-    except BaseException:
+    except BaseException as error:
         new.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # that of a full disk has no name, or the hidden one
+            error.filename = str(target)
         raise
