@@ -62,14 +62,14 @@ def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
         return size, even
     gaps, unit = np.diff(z), "µm" if named else "(no unit)"
     apart, rises = abs(gaps.mean()), (gaps > 0).all() or (gaps < 0).all()
-    planes = f"planes {apart:g} {unit} apart"
+    placed = f"planes {apart:g} {unit} apart"
     if not rises:
         k = np.argmin(gaps * (np.sign(gaps.sum()) or 1))
-        planes = f"planes that do not all rise or fall, as {z[k]:g} and {z[k + 1]:g} {unit}"
+        placed = f"planes that do not all rise or fall, as {z[k]:g} and {z[k + 1]:g} {unit}"
     used = "former" if named and rises else "latter"
     if even is not None and (abs(apart - step) > 0.1 * step or not rises):
         warnings.warn(
-            f"{name} has {planes}, and a spacing of {step:g} µm: the {used} is used", stacklevel=2
+            f"{name} has {placed}, and a spacing of {step:g} µm: the {used} is used", stacklevel=2
         )
     return size, z if used == "former" else even
 
