@@ -82,7 +82,7 @@ def _three_points(measure: Any, **options: int) -> Callable[[NDArray], NDArray]:
     return lambda stack: depth_from_focus(stack, POSITIONS, measure=measure, **options).depth
 
 
-def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[NDArray], NDArray]:
+def _peer(measure: Callable[[NDArray], NDArray]) -> Callable[[NDArray], NDArray]:
     """Return a peer's method: the measure, three points through its logarithm, a 5×5 median."""
 
     def depth(stack: NDArray) -> NDArray:
@@ -95,7 +95,7 @@ def _peer(measure: Callable[[NDArray], NDArray], *, median: bool) -> Callable[[N
         second = 2 * here - below - above
         shift = np.divide(above - below, 2 * second, out=np.zeros_like(second), where=second > 0)
         result = np.where(best == inner, inner + shift, best).astype(np.float32)
-        return cv2.medianBlur(result, 5) if median else result
+        return cv2.medianBlur(result, 5)
 
     return depth
 
@@ -108,10 +108,10 @@ METHODS: dict[str, Callable[[NDArray], NDArray]] = {
 } | {
     "Tenengrad 9×9, three points": _three_points(_tenengrad),
     "grey variance 9×9, three points": _three_points(_grey_variance),
-    "Laplacian energy, median": _peer(_laplacian_energy, median=True),
-    "Laplacian variance, median": _peer(_laplacian_variance, median=True),
-    "LoG magnitude, median": _peer(_log_magnitude, median=True),
-    "ring difference, median": _peer(_ring_difference, median=True),
+    "Laplacian energy, median": _peer(_laplacian_energy),
+    "Laplacian variance, median": _peer(_laplacian_variance),
+    "LoG magnitude, median": _peer(_log_magnitude),
+    "ring difference, median": _peer(_ring_difference),
 }
 
 

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from benchmarks.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
-from compendium.experiments.disc_blur import disc
+from compendium.experiments.rendering import blended, disc, expose
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.focus.scenes import NAMES
 
 #: Side of a frame and border that is left out, px; number of frames, 1 µm apart; seeds, none of
 #: which was used while constants were chosen.
@@ -30,7 +29,6 @@ SCALE_TABLE = "Same scene and travel, more frames of noise 3: RMS error in spaci
 RELIEF_TABLE = "Relief A·sin·sin, noise 2: RMS error in frames, mean of the seeds"
 STATED_TABLE = "RMS error over stated uncertainty, by decile of the stated uncertainty, worst seed"
 STEEP_TABLE = "Steep roofs, noise 2: RMS error in frames"
-OTHER_TABLE = "Bars, bare ground and moving lenses, compared with SML: depths in frames"
 
 
 @dataclass(frozen=True)
@@ -53,14 +51,6 @@ def spread(image: NDArray, sigma: float, *, discs: bool) -> NDArray:
     return cv2.filter2D(sharp, -1, disc(2 * sigma)) if sigma > 0.17 else sharp
 
 
-def blended(ladder: NDArray, blurs: NDArray, blur: NDArray) -> NDArray:
-    """Return an image whose pixels have a blur each, from images that have one of `blurs` each."""
-    k = np.clip(np.searchsorted(blurs, blur) - 1, 0, len(blurs) - 2)
-    part = ((blur - blurs[k]) / (blurs[k + 1] - blurs[k])).astype(ladder.dtype)
-    below, above = (np.take_along_axis(ladder, k[None] + n, axis=0)[0] for n in (0, 1))
-    return np.asarray(below * (1 - part) + above * part)
-
-
 def render(
     texture: NDArray, depth: NDArray, seed: int, *, noise: float = 2.0, factor: int = 1
 ) -> Scene:
@@ -73,7 +63,7 @@ def render(
     frames = np.empty((len(positions), *texture.shape), np.uint8)
     for frame, position in zip(frames, positions, strict=True):
         blur = np.abs(depth - position)
-        frame[:] = _exposed(blended(ladder, blurs, blur), noise, rng)
+        frame[:] = expose(blended(ladder, blurs, blur), rng, noise)
     return Scene(positions, depth, frames)
 
 
@@ -88,7 +78,7 @@ def render_step(texture: NDArray, low: float, high: float, seed: int) -> Scene:
         cover = spread(near, abs(high - position), discs=discs)
         layer = spread(texture * near, abs(high - position), discs=discs)
         far = spread(texture, abs(low - position), discs=discs)
-        frame[:] = _exposed(far * (1 - cover) + layer, 2.0, rng)
+        frame[:] = expose(far * (1 - cover) + layer, rng)
     return Scene(np.arange(float(COUNT)), np.where(near > 0, high, low), frames)
 
 
@@ -96,10 +86,6 @@ def relit(scene: Scene, gains: NDArray) -> Scene:
     """Give every frame a light of its own."""
     stack = np.clip(np.rint(scene.stack * gains[:, None, None]), 0, 255).astype(np.uint8)
     return Scene(scene.positions, scene.depth, stack)
-
-
-def _exposed(image: NDArray, noise: float, rng: np.random.Generator) -> NDArray:
-    return np.clip(np.rint(image + noise * rng.standard_normal(image.shape)), 0, 255)
 
 
 def drawn(seed: int, **options: object) -> NDArray:
@@ -233,66 +219,6 @@ def steep() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["surface", "RMS error"]).round(3)
 
 
-# --- Ground without texture, lenses that move, thin things ------------------------------------
-
-
-def bare_ground(seed: int, quality: int) -> NDArray:
-    """Return 9 frames of a wall without texture, as JPEG."""
-    rng = np.random.default_rng(seed)
-    frames = np.rint(100 + 2 * rng.standard_normal((9, SIDE, SIDE, 3))).astype(np.uint8)
-    codes = [cv2.imencode(".jpg", f, [cv2.IMWRITE_JPEG_QUALITY, quality])[1] for f in frames]
-    return np.array([cv2.imdecode(code, cv2.IMREAD_GRAYSCALE) for code in codes])
-
-
-def lens_that_moves(seed: int, vertex: float) -> Scene:
-    """Render a flat surface in focus at 15 of 30; blur grows as |1/a − 1/b|, (c04)."""
-    rng, texture = np.random.default_rng(seed), drawn(seed)
-    k = np.arange(30.0)
-    blurs = 0.35 * (vertex + 15) * np.abs(k - 15) / (vertex + k)
-    frames = [_exposed(spread(texture, blur, discs=False), 0.7, rng) for blur in blurs]
-    return Scene(k, np.full(texture.shape, 15.0), np.array(frames, np.uint8))
-
-
-def thin_bar(seed: int, width: int) -> tuple[Scene, NDArray]:
-    """Render a bar 12 frames above ground of the same kind of texture, and return where it is."""
-    rng, bar = np.random.default_rng(seed), np.zeros((SIDE, SIDE), np.float32)
-    bar[:, SIDE // 2 : SIDE // 2 + width] = 1
-    near, far = drawn(seed), drawn(seed + 50)
-    frames = []
-    for k in range(COUNT):
-        near_blur, far_blur = 0.6 * abs(k - 4), 0.6 * abs(k - 16)
-        cover = spread(bar, near_blur, discs=False)
-        image = spread(near * bar, near_blur, discs=False)
-        frames.append(_exposed(image + spread(far, far_blur, discs=False) * (1 - cover), 1.0, rng))
-    depth = np.where(bar > 0, 4.0, 16.0)
-    return Scene(np.arange(float(COUNT)), depth, np.array(frames, np.uint8)), bar > 0
-
-
-def others() -> pd.DataFrame:
-    """Return shares of certain depths on bare ground, errors of asymmetric peaks, and thin bars."""
-    rows = []
-    for measure in NAMES:
-        for quality in (65, 85, 95):
-            share = []
-            for seed in SEEDS:
-                found = depth_from_focus(bare_ground(seed, quality), spacing=1, measure=measure)
-                share.append(np.mean(found.uncertainty < 8 / 5))
-            rows.append((measure, f"bare ground, JPEG {quality}: certain, %", 100 * np.mean(share)))
-        for vertex in (6, 15, 40):
-            scene = lens_that_moves(100, vertex)
-            found = depth_from_focus(scene.stack, scene.positions, measure=measure)
-            for name, value in (("RMS error", found.depth - 15), ("stated", found.uncertainty)):
-                rows.append((measure, f"lens, vertex {vertex} frames away: {name}", rms(value)))
-        for width in (4, 6, 10):
-            scene, bar = thin_bar(100, width)
-            found = depth_from_focus(scene.stack, scene.positions, measure=measure)
-            off = np.abs(found.depth - scene.depth)[bar]
-            silent = 100 * np.mean(off > 3 * found.uncertainty[bar] + 1)
-            rows.append((measure, f"bar of {width} px: silently wrong, %", silent))
-    table = pd.DataFrame(rows, columns=["measure", "case", "value"])
-    return table.pivot(index="case", columns="measure", values="value").round(3).reset_index()
-
-
 # --- Limits --------------------------------------------------------------------------------------
 
 
@@ -335,11 +261,8 @@ px. The blur grows by 1 px per frame. Its shape is a disc for even seeds and a G
 odd seeds. The outermost 12 px are left out. These seeds and photographs were not used to choose
 constants.
 
-- *Deciles*: pixels are sorted by their stated uncertainty. The RMS error of each tenth is divided
-  by the RMS of the stated uncertainty.
-- *Certain* depths have a stated standard deviation below a fifth of the scan. *Silently wrong*
-  depths are wrong by more than a frame and by more than three times the stated standard
-  deviation.
+*Deciles*: pixels are sorted by their stated uncertainty. The RMS error of each tenth is divided by
+the RMS of the stated uncertainty.
 """
 
 
@@ -349,6 +272,5 @@ def main() -> tuple[Tables, Limits]:
         RELIEF_TABLE: relief(),
         STATED_TABLE: stated(),
         STEEP_TABLE: steep(),
-        OTHER_TABLE: others(),
     }
     return tables, limits(tables)

@@ -54,16 +54,14 @@ def spline_of(name: str) -> Array:
     return ndimage.spline_filter(grey(name), order=5, mode="mirror")
 
 
-def textured(
-    names: tuple[str, ...], rng: np.random.Generator, side: int = SIDE
-) -> tuple[str, int, int]:
+def textured(names: tuple[str, ...], rng: np.random.Generator) -> tuple[str, int, int]:
     """Draw a photograph and (x, y) of a box in it with gradients in every direction."""
     while True:
         name = names[rng.integers(len(names))]
-        x, y = (int(rng.integers(MARGIN, n - MARGIN - side + 1)) for n in grey(name).shape[::-1])
-        smooth = cv2.GaussianBlur(grey(name)[y : y + side, x : x + side], (0, 0), 1)
+        x, y = (int(rng.integers(MARGIN, n - MARGIN - SIDE + 1)) for n in grey(name).shape[::-1])
+        smooth = cv2.GaussianBlur(grey(name)[y : y + SIDE, x : x + SIDE], (0, 0), 1)
         gradient = np.stack(np.gradient(smooth)).reshape(2, -1)
-        if np.linalg.eigvalsh(gradient @ gradient.T / side**2)[0] > LEAST_GRADIENT**2:
+        if np.linalg.eigvalsh(gradient @ gradient.T / SIDE**2)[0] > LEAST_GRADIENT**2:
             return name, x, y
 
 

@@ -15,10 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.focus_depth import blended
 from benchmarks.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
-from compendium.experiments.disc_blur import disc
+from compendium.experiments.rendering import blended, disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 

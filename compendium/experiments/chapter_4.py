@@ -31,13 +31,16 @@ INPUTS = {
 
 
 def exponents(change: float = 1e-6) -> pd.Series:
-    """Return ∂ ln E / ∂ ln of each input of (5.2), from a change down: ν = 0.5 is the most."""
+    """Return ∂ ln E / ∂ ln of each input of (5.2), from a change down: ν = 0.5 is the most.
+
+    The error by the size of the change is of the order of the change.
+    """
     modulus = float(elastic_modulus(**INPUTS))
-    found = {}
+    exponents = {}
     for name, value in INPUTS.items():
         lower = float(elastic_modulus(**INPUTS | {name: (1 - change) * value}))
-        found[name.replace("_", " ")] = float(np.log(lower / modulus) / np.log(1 - change))
-    return pd.Series(found)
+        exponents[name] = float(np.log(lower / modulus) / np.log(1 - change))
+    return pd.Series(exponents)
 
 
 def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:

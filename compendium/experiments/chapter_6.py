@@ -3,7 +3,6 @@ how precise a modulus must be to tell two stages of development apart."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
 from compendium import thesis
-from compendium.experiments.section_5_6 import printed_dimple
 from compendium.ledger import Record, claim, claims
-from microlib.membrane import SmallSlopeWarning, elastic_modulus
 
 #: Modulus at the blastula stage over that before hatching: Kim et al. (2006), abstract.
 STAGE_RATIO = 1.66
@@ -51,48 +48,30 @@ def of_records(records: Mapping[str, Record]) -> dict[str, float]:
     return {"section-6/reconstruction-synthetic": error}
 
 
-def log_sensitivities() -> dict[str, float]:
-    """Return by what percentage the modulus of Table 5.6 changes for 1 % of each measured input.
-
-    The derivatives of the logarithm of (5.2) by the logarithms of its inputs, by central
-    differences. An error of the result by the step, 10⁻⁴, is of the order 10⁻⁸.
-    """
-    radius, depth = printed_dimple()
-    values = {"force": thesis.FORCE, "rim_radius": radius, "dimple_depth": depth}
-    values |= thesis.MEMBRANE
-    found, step = {}, np.array([1 - 1e-4, 1 + 1e-4])
-    for name in [one for one in values if one != "poisson_ratio"]:
-        with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-            moduli = elastic_modulus(**(values | {name: values[name] * step}))
-        found[name] = float(np.diff(np.log(moduli))[0] / np.diff(np.log(step))[0])
-    return found
-
-
-def power(std: ArrayLike, ratio: float = STAGE_RATIO) -> NDArray:
+def power(std: ArrayLike) -> NDArray:
     """Return how often one modulus of each of two stages differs significantly.
 
     Parameters
     ----------
     std : array_like
         Standard deviation of the logarithm of a modulus: its relative error, if that is small.
-    ratio : float
-        True ratio of the two moduli.
 
     Returns
     -------
     ndarray
-        Probability that the two-sided test of the level `FALSE_ALARM` rejects equal moduli, if both
-        logarithms have independent normal errors of that known standard deviation.
+        Probability that the two-sided test of the level `FALSE_ALARM` rejects equal moduli, if the
+        true ratio is `STAGE_RATIO` and both logarithms have independent normal errors of that known
+        standard deviation.
     """
-    shift = np.log(ratio) / (np.sqrt(2) * np.asarray(std))
+    shift = np.log(STAGE_RATIO) / (np.sqrt(2) * np.asarray(std))
     limit = norm.ppf(1 - FALSE_ALARM / 2)
     return np.asarray(norm.cdf(shift - limit) + norm.cdf(-shift - limit))
 
 
-def needed_std(ratio: float = STAGE_RATIO) -> float:
+def needed_std() -> float:
     """Return the largest standard deviation of ln E with which `power` is 1 − `MISS`.
 
     The term of the wrong sign, below 10⁻⁷ there, is left out.
     """
     both = norm.ppf(1 - FALSE_ALARM / 2) + norm.ppf(1 - MISS)
-    return float(np.log(ratio) / (np.sqrt(2) * both))
+    return float(np.log(STAGE_RATIO) / (np.sqrt(2) * both))

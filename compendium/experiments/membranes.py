@@ -83,12 +83,14 @@ def modulus_ratios(disc: str) -> pd.Series:
     return pd.Series(ratios)
 
 
-def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray]:
-    """Return distances from the axis and heights above the rim, µm, of the left half."""
-    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    r = np.linspace(INPUTS["probe_half_width"], dimple.rim_radius, 400)
+def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray, NDArray]:
+    """Return distances from the axis, and heights above the rim of the left half of an outline and
+    of the profile (4.2) with its radius and depth, µm."""
+    dimple, c = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL), INPUTS["probe_half_width"]
+    r = np.linspace(c, dimple.rim_radius, 400)
     z = curve(dimple.bottom[0] - r / thesis.EMBRYO_PIXEL) - dimple.rim[1]
-    return r, thesis.EMBRYO_PIXEL * z
+    profile = dimple_profile(r, dimple.rim_radius, dimple.dimple_depth, probe_half_width=c)
+    return r, thesis.EMBRYO_PIXEL * z, -profile
 
 
 def shapes(radius: float, depth: float) -> dict[str, tuple[float, NDArray, NDArray]]:
@@ -119,7 +121,7 @@ def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
 
     The ``largest`` and the ``rms`` deviation from the left half are shares of the depth.
     """
-    r, z = left_half(curve)
+    r, z, _ = left_half(curve)
     dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
     rows = {}
     for name, (modulus, r_of, z_of) in shapes(dimple.rim_radius, dimple.dimple_depth).items():

@@ -24,7 +24,7 @@ from scipy.spatial.distance import cdist
 from scipy.stats import binomtest
 from skimage.measure import label as connected
 
-from compendium.experiments.disc_blur import disc
+from compendium.experiments.rendering import blended, disc, expose
 from microlib._common import MICROMETERS
 from microlib.curvature import HK_NAMES, hk_labels, surface_curvature
 from microlib.focus import correct_spikes, depth_from_focus
@@ -112,12 +112,8 @@ DISCS = [disc(radius) for radius in RADII]
 def blur(image: NDArray, height: NDArray) -> NDArray:
     """Return an image in each frame, each pixel blurred by the disc of its height's defocus."""
     ladder = np.stack([cv2.filter2D(image.astype(np.float32), -1, kernel) for kernel in DISCS])
-    radius = np.hypot(SHARPEST, BLUR_RATE * (height - POSITIONS[:, None, None]))
-    place = np.interp(radius, RADII, np.arange(len(RADII)))
-    lower = np.minimum(place.astype(int), len(RADII) - 2)
-    rows, cols = np.indices(image.shape)
-    steps = ladder[lower + 1, rows, cols] - ladder[lower, rows, cols]
-    return ladder[lower, rows, cols] + (place - lower) * steps
+    radii = (np.hypot(SHARPEST, BLUR_RATE * (height - position)) for position in POSITIONS)
+    return np.stack([blended(ladder, RADII, radius) for radius in radii])
 
 
 def render(part: Part, pose: Pose, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
@@ -133,8 +129,7 @@ def render(part: Part, pose: Pose, rng: np.random.Generator) -> tuple[NDArray, N
 
 def reconstruct(clean: NDArray, noise: float, rng: np.random.Generator) -> tuple[NDArray, float]:
     """Return heights from frames with noise, and the median of their stated errors, µm."""
-    frames = np.clip(np.rint(clean + noise * rng.standard_normal(clean.shape)), 0, 255)
-    found = depth_from_focus(frames.astype(np.uint8), POSITIONS, workers=1)
+    found = depth_from_focus(expose(clean, rng, noise), POSITIONS, workers=1)
     return found.depth, float(np.nanmedian(found.uncertainty))
 
 

@@ -13,6 +13,7 @@ from skimage.measure import label as connected
 
 from compendium import thesis
 from compendium.experiments.chapter_3 import PRINTED_WINDOWS
+from compendium.experiments.rendering import expose
 from compendium.ledger import claim
 from microlib.curvature import hk_labels
 from microlib.focus import (
@@ -77,8 +78,7 @@ def render_ridge(seed: int, width: float = RIDGE_WIDTH) -> Scene:
     height = parabolic_cylinder(RIDGE_SHAPE, thesis.RIDGE_HEIGHT, width=width)
     positions = np.arange(0, thesis.RIDGE_HEIGHT + 1, thesis.RIDGE_STEP)
     clean = thesis.thesis_stack(texture, height, positions)
-    noisy = clean + RIDGE_NOISE * rng.standard_normal(clean.shape)
-    return Scene(texture, height, positions, np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    return Scene(texture, height, positions, expose(clean, rng, RIDGE_NOISE))
 
 
 def render_ball(seed: int) -> Scene:

@@ -7,7 +7,6 @@ warns of it with `microlib.membrane.SmallSlopeWarning`, as the library does.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,9 +16,16 @@ from scipy.stats import chi2
 
 from compendium import thesis
 from compendium.ledger import claim, half_ulp
-from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians, loess, modulus_from_image
-from microlib.membrane import dimple_profile
-from microlib.synthetic import Embryo, embryo_image
+from microlib.embryo import (
+    Boundary,
+    DimpleGeometry,
+    GaussianSum,
+    dimple_geometry,
+    fit_gaussians,
+    loess,
+    modulus_from_image,
+)
+from microlib.synthetic import Embryo, EmbryoImage, embryo_image
 
 #: Modulus of the rendered embryos: that of Table 5.6, MPa.
 MODULUS = claim("table-5.6/E").value
@@ -28,9 +34,6 @@ READ = ("x_1", "y_1", "x_2", "y_2", "E")
 #: Changes whose differences give the effects of the rounding, in half units: 0.01 and 1 give the
 #: same least share to 1e-10.
 _STEPS = 0.1 * np.eye(24)
-#: What `microlib.synthetic.embryo_image` and `microlib.embryo.extract_boundary` return.
-Scene = Any
-Outline = Any
 
 
 def read_off(units: ArrayLike = 0.0) -> NDArray:
@@ -155,7 +158,7 @@ def probe_half_widths() -> tuple[float, float]:
     return low, high
 
 
-def rendered_embryo(rng: np.random.Generator) -> Scene:
+def rendered_embryo(rng: np.random.Generator) -> EmbryoImage:
     """Render the embryo of Table 5.6 as the Sony camera would see it under uneven light."""
     embryo = Embryo(
         modulus=MODULUS,
@@ -166,12 +169,12 @@ def rendered_embryo(rng: np.random.Generator) -> Scene:
     return embryo_image(embryo, rng=rng, pixel_size=thesis.EMBRYO_PIXEL, unevenness=0.15)
 
 
-def smooth_outline(boundary: Outline) -> tuple[NDArray, GaussianSum]:
+def smooth_outline(boundary: Boundary) -> tuple[NDArray, GaussianSum]:
     """Smooth an outline as the thesis does: LOESS of the second degree, then eight Gaussians.
 
     Parameters
     ----------
-    boundary : Outline
+    boundary : Boundary
         Of a dimple under a probe.
 
     Returns
@@ -191,45 +194,9 @@ def smooth_outline(boundary: Outline) -> tuple[NDArray, GaussianSum]:
     return columns, fit_gaussians(columns, smooth)
 
 
-def thesis_dimple(boundary: Outline) -> Any:
+def thesis_dimple(boundary: Boundary) -> DimpleGeometry:
     """Return the dimple of an outline as the thesis measures it: LOESS, (5.1) and (5.3)."""
     return dimple_geometry(smooth_outline(boundary)[1], pixel_size=thesis.EMBRYO_PIXEL)
-
-
-@dataclass(frozen=True)
-class ShapeComparison:
-    """The printed outline beside the profile of its own radius and depth.
-
-    Attributes
-    ----------
-    x : ndarray, shape (N,)
-        From the probe's edge to the left rim, px.
-    expected : ndarray, shape (N,)
-        The profile (4.2), px.
-    departure : float
-        Largest distance between outline and profile, µm.
-    share : float
-        That over the depth.
-    """
-
-    x: NDArray
-    expected: NDArray
-    departure: float
-    share: float
-
-
-def compare_shape(curve: GaussianSum) -> ShapeComparison:
-    """Hold the left half of a dimple against the profile (4.2)."""
-    pixel, half_width = thesis.EMBRYO_PIXEL, thesis.MEMBRANE["probe_half_width"]
-    dimple = dimple_geometry(curve, pixel_size=pixel)
-    radius = np.linspace(half_width, dimple.rim_radius, 400)  # µm
-    depth = dimple_profile(
-        radius, dimple.rim_radius, dimple.dimple_depth, probe_half_width=half_width
-    )
-    x = dimple.bottom[0] - radius / pixel
-    expected = dimple.rim[1] - depth / pixel
-    departure = float(np.max(np.abs(curve(x) - expected)) * pixel)
-    return ShapeComparison(x, expected, departure, departure / dimple.dimple_depth)
 
 
 def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> pd.DataFrame:

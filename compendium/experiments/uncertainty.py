@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.stats import norm
 from skimage import data
 
-from compendium.experiments.disc_blur import disc_blur
+from compendium.experiments.rendering import blended, disc_blur, expose
 from microlib import synthetic
 from microlib.calibration import calibrate
 from microlib.embryo import modulus_from_image
@@ -42,11 +42,6 @@ def coverage(error: NDArray, std: NDArray) -> pd.Series:
 # --- Heights -------------------------------------------------------------------------------------
 
 
-def expose(image: NDArray, rng: np.random.Generator, noise: float = 2.0) -> NDArray[np.uint8]:
-    """Add noise and round to 8 bits."""
-    return np.clip(np.rint(image + rng.normal(0, noise, image.shape)), 0, 255).astype(np.uint8)
-
-
 def focal_stacks(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     """Yield name, true height in frame spacings and stack; the blur is that of a uniform disc."""
     rng = np.random.default_rng(seed)
@@ -56,12 +51,8 @@ def focal_stacks(seed: int) -> Iterator[tuple[str, NDArray, NDArray]]:
     positions = np.arange(float(COUNT))
     radii = np.arange(0.0, 32.0, 0.5)
     ladder = np.stack([disc_blur(texture, radius) for radius in radii])
-    frames = []
-    for position in positions:
-        k = np.clip(2 * np.abs(slope - position) * 2, 0, len(radii) - 1.001)
-        low = k.astype(int)
-        below, above = (np.take_along_axis(ladder, low[None] + n, axis=0)[0] for n in (0, 1))
-        frames.append(expose(below + (k - low) * (above - below), rng))
+    defocus = (2 * np.abs(slope - position) for position in positions)
+    frames = [expose(blended(ladder, radii, radius), rng) for radius in defocus]
     yield "slope", slope, np.stack(frames)
     codes = [cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 80])[1] for frame in frames]
     coded = np.stack([np.asarray(cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)) for code in codes])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def show(name: str) -> None:
     plt.close(figure)
 
 
-def keep_data(figure: Figure, stem: Path) -> list[Path]:
+def keep_data(figure: Figure, stem: Path) -> None:
     """
     Write the curves of a figure to a CSV file and its images to an NPZ file.
 
@@ -39,12 +40,7 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
     figure : matplotlib.figure.Figure
         Figure whose axes are labelled with units.
     stem : pathlib.Path
-        Path of the files without their ending.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The files written: none for a drawing without data.
+        Path of the files without their ending. A drawing without data leaves none.
 
     Notes
     -----
@@ -64,18 +60,15 @@ def keep_data(figure: Figure, stem: Path) -> list[Path]:
                 digits = 4 - int(np.ceil(np.log10(np.nanmax(values) - np.nanmin(values) or 1)))
                 values = values.astype(np.float32).round(digits)
             images[f"panel{number}_image{k}"] = values
-    written = []
     stem.parent.mkdir(parents=True, exist_ok=True)
     if rows:
         table = pd.DataFrame(rows, columns=["panel", "series", "x", "y", "x_label", "y_label"])
-        written.append(stem.with_suffix(".csv"))
-        replace_file(written[-1], lambda file: table.to_csv(file, index=False, lineterminator="\n"))
+        write_csv = partial(table.to_csv, index=False, lineterminator="\n")
+        replace_file(stem.with_suffix(".csv"), write_csv)
     if images:
         titles = [axes.get_title("left") or axes.get_title() for axes in figure.axes]
         images["panel_titles"] = np.array(titles)
-        written.append(stem.with_suffix(".npz"))
-        replace_file(written[-1], lambda file: np.savez_compressed(file, **images))
-    return written
+        replace_file(stem.with_suffix(".npz"), lambda file: np.savez_compressed(file, **images))
 
 
 def _series(axes: Axes) -> Iterator[tuple[str, np.ndarray]]:

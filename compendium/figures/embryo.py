@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from compendium.figures.panels import photograph
 from compendium.figures.style import COLORS
+from microlib.embryo import Boundary
 
 
 def show_image(ax: Axes, image: NDArray, *, box: tuple[int, int, int, int] | None = None) -> None:
@@ -37,13 +38,13 @@ def add_scale_bar(ax: Axes, length: float, pixel_size: float, *, color: str = "b
     ax.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def show_outline(ax: Axes, boundary: Any, **style: object) -> None:
+def show_outline(ax: Axes, boundary: Boundary) -> None:
     """Draw what `extract_boundary` found over its image, dotted where the probe hides it."""
     x, y = boundary.points.T
     seen = ~boundary.under_probe
-    look = {"color": COLORS["orange"], "lw": 1.5} | style
+    look: dict[str, Any] = {"color": COLORS["orange"], "lw": 1.5}
     middle = boundary.probe.tip[0]
     for side in (x < middle, x > middle):
-        ax.plot(x[seen & side], y[seen & side], **look)  # type: ignore[arg-type]
+        ax.plot(x[seen & side], y[seen & side], **look)
     hidden = np.flatnonzero(boundary.under_probe)
-    ax.plot(x[hidden], y[hidden], **(look | {"ls": ":"}))  # type: ignore[arg-type]
+    ax.plot(x[hidden], y[hidden], ls=":", **look)

@@ -1,4 +1,4 @@
-"""Pieces that several drawings are made of: boxes, arrows, lengths, intervals, letters, images."""
+"""Pieces that several drawings are made of: boxes, arrows, lengths, letters, images."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -51,14 +50,6 @@ def length(axes: Axes, start: Point, end: Point, text: str = "", away: Point = (
     axes.annotate("", end, start, arrowprops=arrow)
     x, y = np.add(start, end) / 2 + away
     axes.text(x, y, text, ha="center", va="center", fontsize=SYMBOL)
-
-
-def intervals(axes: Axes, table: pd.DataFrame, x: str, y: str, label: str) -> None:
-    """Draw the column `y` of a table against its column `x`, with bars from `low` to `high`."""
-    bars = [table[y] - table["low"], table["high"] - table[y]]
-    axes.errorbar(
-        table[x], table[y], bars, fmt="o", ms=5, lw=1.4, color=COLORS["blue"], label=label
-    )
 
 
 def letter(panels: Iterable[Axes]) -> None:

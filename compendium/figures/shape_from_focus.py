@@ -100,7 +100,7 @@ def draw_types(
     size = (6.4, 1.2 + rows * (0.4 + 5.6 / columns * height / width))
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     for axes, (title, types) in zip(grid.flat, labels.items(), strict=True):
-        draw_labels(axes, types, legend=False)
+        draw_labels(axes, types)
         axes.set(title=title, xlim=(x, x + width - 1), ylim=(y + height - 1, y))
         axes.label_outer()
         for share, line in ((1.0, "-"), (0.5, "--")) if ball else ():

@@ -67,12 +67,9 @@ def draw_sinking_stage() -> Figure:
     return figure
 
 
-def draw_labels(axes: Axes, labels: NDArray[np.uint8], *, legend: bool = True) -> None:
-    """Show a map of surface types, with a legend of those that occur in it."""
+def draw_labels(axes: Axes, labels: NDArray[np.uint8]) -> None:
+    """Show a map of surface types."""
     photograph(axes, labels, cmap=PALETTE, vmin=0, vmax=9)
-    if legend:
-        patches = label_patches(labels)
-        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1))
 
 
 def label_patches(labels: NDArray[np.uint8]) -> list[Patch]:

@@ -10,7 +10,7 @@ from compendium.experiments import (
     chapter_6,
     uncertainty,
 )
-from compendium.experiments.disc_blur import disc_blur
+from compendium.experiments.rendering import disc_blur
 from compendium.ledger import Record
 
 
@@ -39,10 +39,10 @@ def test_depth_errors_are_in_frame_spacings():
 @pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_modulus_exponents_equal_formula():
     found = chapter_4.exponents()
-    known = {"force": 1, "dimple depth": -3, "thickness": -1, "poisson ratio": -1}
+    known = {"force": 1, "dimple_depth": -3, "thickness": -1, "poisson_ratio": -1}
     assert found[list(known)].to_dict() == pytest.approx(known, abs=1e-5)
     # E grows as a² times a function of c/a alone.
-    assert found["rim radius"] + found["probe half width"] == pytest.approx(2, abs=1e-4)
+    assert found["rim_radius"] + found["probe_half_width"] == pytest.approx(2, abs=1e-4)
 
 
 def test_values_of_sentences_follow_from_printed_numbers():

@@ -24,12 +24,12 @@ def test_figure_data_keep_points_images_and_labels(tmp_path: Path) -> None:
     image = np.arange(6.0).reshape(2, 3)
     right.imshow(image)
     right.set_title("height")
-    table, images = keep_data(figure, tmp_path / "new" / "a")
-    kept = pd.read_csv(table)
+    keep_data(figure, tmp_path / "new" / "a")
+    kept = pd.read_csv(tmp_path / "new" / "a.csv")
     assert kept[["x", "y"]].to_numpy().tolist() == [[1, 10], [2, 20], [3, 60], [4, 40], [5, 50]]
     assert kept["series"].tolist() == ["line"] * 3 + ["dots"] * 2
     assert set(kept["x_label"] + kept["y_label"]) == {"time (s)force (µN)"}
-    with np.load(images) as arrays:
+    with np.load(tmp_path / "new" / "a.npz") as arrays:
         np.testing.assert_array_equal(arrays["panel2_image1"], image)
         assert arrays["panel_titles"].tolist() == ["", "height"]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compendium.experiments.disc_blur import disc_blur
+from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
 from tests.focus.scenes import defocused, inner, rms

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from compendium.experiments.disc_blur import disc_blur
+from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.focus.scenes import NAMES, defocused, gaussian_blur, inner, rms, stack_of
