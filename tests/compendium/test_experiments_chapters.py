@@ -36,7 +36,6 @@ def test_depth_errors_are_in_frame_spacings():
     assert table.loc["sml", "beyond one spacing (%)"] == 0
 
 
-@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_modulus_exponents_equal_formula():
     found = chapter_4.exponents()
     known = {"force": 1, "dimple_depth": -3, "thickness": -1, "poisson_ratio": -1}
