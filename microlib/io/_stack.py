@@ -48,7 +48,7 @@ class Stack(Result, Iterable[Image]):
 
     frames: Iterable[Image]
     first: Image
-    name: Callable[[int], str] = "frames[{}]".format
+    name: Callable[[int], str] = lambda number: f"frames[{number}]"
     count: int | None = None
     axis: str = ""
     positions: Array | None = None
