@@ -15,8 +15,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import ROOT
-from microlib._common import FlatResult
-from microlib.embryo import modulus_from_image
+from microlib.embryo import ImageEstimate, modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
 
@@ -254,15 +253,13 @@ def compare(
     return table
 
 
-def modulus_of(path: Path, *, force: float, **settings: Any) -> FlatResult:
+def modulus_of(path: Path, *, force: float, **settings: Any) -> ImageEstimate:
     """Return the modulus of the embryo in an image file, by `microlib.embryo.modulus_from_image`.
 
     The function is in a module, because worker processes cannot import from a notebook.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SmallSlopeWarning)
-        found: FlatResult = modulus_from_image(read_grey(path), force, **settings)
-    return found
+    with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
+        return modulus_from_image(read_grey(path), force, **settings)
 
 
 def _entry(file: Path) -> dict | None:

@@ -1,16 +1,14 @@
-"""Sentences of the abstract and of chapter 6, held against printed numbers and against records, and
-how precise a modulus must be to tell two stages of development apart."""
+"""Sentences of the abstract and of chapter 6, held against printed numbers, and how precise a
+modulus must be to tell two stages of development apart."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
 from compendium import thesis
-from compendium.ledger import Record, claim, claims
+from compendium.ledger import claim, claims
 
 #: Modulus at the blastula stage over that before hatching: Kim et al. (2006), abstract.
 STAGE_RATIO = 1.66
@@ -34,18 +32,6 @@ def of_printed_numbers() -> dict[str, float]:
         "section-5.4/tracked-accurately": sum(px <= 1 for px in on_paths) / len(on_paths),
         "section-6/precise-and-accurate": min(errors.values()),
     }
-
-
-def of_records(records: Mapping[str, Record]) -> dict[str, float]:
-    """Return what decides each sentence that the simulations of section 5.5 decide, by its claim.
-
-    Parameters
-    ----------
-    records : mapping of str to Record
-        What chapter 5 recorded.
-    """
-    error = records["5.5/ridge-thesis"].value / thesis.RIDGE_STEP
-    return {"section-6/reconstruction-synthetic": error}
 
 
 def power(std: ArrayLike) -> NDArray:

@@ -85,7 +85,7 @@ def photograph(column: str, seed: int | list[int], draws: int) -> Photograph:
     images, errors = [], np.empty((0, corners, 2))
     while len(errors) < LEAST_MARKS:
         image, found = render(column, rng)
-        world = printed_labels(column, found)
+        world = printed_labels(column, found, scope)
         order = np.argsort(found.group, kind="stable") if corners > 1 else np.arange(len(world))
         off = found.points - scope.project(world)
         errors = np.concatenate([errors, off[order].reshape(-1, corners, 2)])
@@ -117,7 +117,7 @@ def photographs(seed: int, draws: int) -> dict[str, Photograph]:
     return {c: photograph(c, [seed, k], draws) for k, c in enumerate(thesis.COLUMNS)}
 
 
-def printed_labels(column: str, found: Detection, like: Microscope | None = None) -> NDArray:
+def printed_labels(column: str, found: Detection, like: Microscope) -> NDArray:
     """Return the points of the pattern in µm, labeled so that the pose is most like Table 5.1.
 
     An unmarked lattice looks the same after a quarter turn, after a step, and from behind. All
@@ -131,16 +131,14 @@ def printed_labels(column: str, found: Detection, like: Microscope | None = None
         One of `thesis.COLUMNS`.
     found : Detection
         The points of its image.
-    like : Microscope, optional
-        Whose pose to be near to; that of Table 5.1 by default. Only which label is the nearest
-        matters.
+    like : Microscope
+        Whose pose to be near to: that of Table 5.1. Only which label is the nearest matters.
 
     Returns
     -------
     ndarray, shape (N, 2)
         World points, µm.
     """
-    like = thesis.microscope(column) if like is None else like
     pitch, f = thesis.pattern_pitch(column), thesis.table_5_1(column, "f")
     blind = calibrate(found.grid * pitch, found.points, focal_length=f, **SENSOR).microscope
     axes = blind.rotation[:, :2]

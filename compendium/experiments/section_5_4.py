@@ -180,16 +180,13 @@ class Workstation:
         speed = faster * self.path_speed[name]
         return PATHS[name](speed, self.assumed.size, self.assumed.height)
 
-    def shake(self, zoom: str) -> float:
-        """Return the jitter at a zoom, px."""
-        return self.jitter * (self.assumed.shakier if zoom == "4X" else 1.0)
-
     def apparatus(self, zoom: str, latency: float | None = None) -> dict[str, Any]:
         """Return the stage and the camera, with a latency (s) that may be another."""
         late = self.assumed.latency if latency is None else latency
+        jitter = self.jitter * (self.assumed.shakier if zoom == "4X" else 1.0)
         return {
             "stage": servoing.StageModel(self.saturation[zoom], increment=thesis.STAGE_STEP),
-            "camera": servoing.CameraTiming(thesis.FRAME_INTERVAL, late, self.shake(zoom)),
+            "camera": servoing.CameraTiming(thesis.FRAME_INTERVAL, late, jitter),
         }
 
     def runs(self, zoom: str, path: NDArray, draws: int, *, start: ArrayLike | None = None) -> Any:

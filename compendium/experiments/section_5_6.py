@@ -18,7 +18,6 @@ from compendium import thesis
 from compendium.ledger import claim, half_ulp
 from microlib.embryo import (
     Boundary,
-    DimpleGeometry,
     GaussianSum,
     dimple_geometry,
     fit_gaussians,
@@ -194,11 +193,6 @@ def smooth_outline(boundary: Boundary) -> tuple[NDArray, GaussianSum]:
     return columns, fit_gaussians(columns, smooth)
 
 
-def thesis_dimple(boundary: Boundary) -> DimpleGeometry:
-    """Return the dimple of an outline as the thesis measures it: LOESS, (5.1) and (5.3)."""
-    return dimple_geometry(smooth_outline(boundary)[1], pixel_size=thesis.EMBRYO_PIXEL)
-
-
 def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> pd.DataFrame:
     """Measure one modulus on images of several embryos under several forces, in both ways.
 
@@ -230,7 +224,9 @@ def image_study(rng: np.random.Generator, embryos: int = 5, forces: int = 5) -> 
             fitted = modulus_from_image(
                 image, load, pixel_size=thesis.EMBRYO_PIXEL, **thesis.MEMBRANE
             )
-            dimple = thesis_dimple(fitted.boundary)
+            # The thesis' way: LOESS, (5.1) and (5.3).
+            curve = smooth_outline(fitted.boundary)[1]
+            dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
             by_thesis = thesis.modulus(dimple.rim_radius, dimple.dimple_depth, force=load)
             modulus = fitted.modulus
             row = [pressed.dimple_depth, load, modulus.value, *modulus.interval, by_thesis]

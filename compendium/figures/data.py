@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +62,8 @@ def keep_data(figure: Figure, stem: Path) -> None:
     stem.parent.mkdir(parents=True, exist_ok=True)
     if rows:
         table = pd.DataFrame(rows, columns=["panel", "series", "x", "y", "x_label", "y_label"])
-        write_csv = partial(table.to_csv, index=False, lineterminator="\n")
-        replace_file(stem.with_suffix(".csv"), write_csv)
+        path = stem.with_suffix(".csv")
+        replace_file(path, lambda file: table.to_csv(file, index=False, lineterminator="\n"))
     if images:
         titles = [axes.get_title("left") or axes.get_title() for axes in figure.axes]
         images["panel_titles"] = np.array(titles)

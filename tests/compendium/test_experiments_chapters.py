@@ -11,7 +11,6 @@ from compendium.experiments import (
     uncertainty,
 )
 from compendium.experiments.rendering import disc_blur
-from compendium.ledger import Record
 
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
@@ -54,12 +53,6 @@ def test_values_of_sentences_follow_from_printed_numbers():
             "section-6/precise-and-accurate": 1.12,
         }
     )
-
-
-def test_values_of_sentences_follow_from_records():
-    records = {"5.5/ridge-thesis": Record("5.5/ridge-thesis", 10.0, 10.0, 10.0, "µm", "result", 1)}
-    found = chapter_6.of_records(records)
-    assert found == pytest.approx({"section-6/reconstruction-synthetic": 10 / 25})
 
 
 @pytest.mark.parametrize("std", [0.05, 0.2, 1.0])

@@ -38,7 +38,7 @@ def test_printed_pose_affects_only_point_labels():
         aside = 0.3 * thesis.pattern_pitch(column)
         turned = {"alpha": truth.alpha + 0.5, "beta": -truth.beta}
         other = replace(truth, **turned, tx=truth.tx + aside, ty=truth.ty - aside)
-        labels = section_5_2.printed_labels(column, found)
+        labels = section_5_2.printed_labels(column, found, truth)
         np.testing.assert_array_equal(labels, section_5_2.printed_labels(column, found, other))
         np.testing.assert_allclose(truth.project(labels), found.points, atol=0.2)
 
