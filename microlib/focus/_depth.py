@@ -94,9 +94,9 @@ def depth_from_focus(
     -----
     UserWarning
         If `register` leaves out frames that show another scene; if frames are left out that are
-        uniform, repeated or of another brightness than those around them; if the brightness changes
-        or the image shifts from frame to frame and `register` is not set; if frames have black
-        margins.
+        uniform, repeated or of another brightness than those around them; if the brightness or the
+        position or scale of the image changes from frame to frame and `register` is not set; if
+        frames have black margins.
 
     Notes
     -----
@@ -157,7 +157,7 @@ def depth_from_focus(
     if registration is None:
         kept = np.flatnonzero(~bad_frames(grey))
         images, grey = ([frames[k] for k in kept] for frames in (list(stack), grey))
-        warn_of_changes(grey)
+        warn_of_changes(grey, margin)
     else:
         kept, grey = registration.kept, registration.images(grey)
         images = registration.images(list(stack)) if stack.color else grey

@@ -90,8 +90,7 @@ def register(frames: Sequence[Image]) -> Registration:
         )
     factor = max(min(shape) // _WORKING_SIDE, 1)
     small = [_block_means(frame.astype(np.float32), factor) for frame in frames]
-    # A band-pass filter: coarser than noise and finer than the illumination.
-    bands = [cv2.GaussianBlur(s, (0, 0), 1.0) - cv2.GaussianBlur(s, (0, 0), 15) for s in small]
+    bands = [_band_pass(image) for image in small]
     # If the middle frame shows another scene, its neighbors hardly do.
     chains = (_chain(bands, start) for start in (count // 2, count // 2 - 1, count // 2 + 1))
     most: dict[int, Array] = {}
@@ -121,11 +120,31 @@ def register(frames: Sequence[Image]) -> Registration:
     return Registration(kept=kept, warps=warps, gain=gain, offset=offset)
 
 
+def motion_between(first: Image, second: Image) -> float:
+    """Return the motion between two frames, px of a reduced frame; 0 if they do not correlate.
+
+    It is the root mean square over the centers of the four quarters of the frame, so that a turn
+    and a growth of the image count as a shift does.
+    """
+    factor = max(min(first.shape) // _WORKING_SIDE, 1)
+    bands = [_band_pass(_block_means(f.astype(np.float32), factor)) for f in (first, second)]
+    if (warp := _link(*bands)) is None:
+        return 0.0
+    rows, cols = bands[0].shape
+    centers = np.array([(x * cols, y * rows, 1) for x in (0.25, 0.75) for y in (0.25, 0.75)])
+    return float(np.sqrt(np.mean(np.sum((centers @ warp.T - centers) ** 2, axis=1))))
+
+
 def _block_means(image: NDArray, side: int) -> NDArray:
     """Return the means of square blocks; rows and columns that are left over are cut off."""
     rows, cols = (n // side for n in image.shape)
     whole = image[: rows * side, : cols * side]
     return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA))
+
+
+def _band_pass(image: NDArray) -> NDArray:
+    """Return what is coarser than the noise and finer than the illumination."""
+    return cv2.GaussianBlur(image, (0, 0), 1.0) - cv2.GaussianBlur(image, (0, 0), 15)
 
 
 def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:

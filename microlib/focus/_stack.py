@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import Array, Image, as_array, as_scalar
+from microlib.focus._registration import motion_between
 from microlib.focus.common import TINY
 from microlib.io import Stack
 
@@ -153,29 +154,23 @@ def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
     return margin
 
 
-def warn_of_changes(frames: Sequence[Image]) -> None:
-    """Warn if illumination or position change from frame to frame, which registration corrects."""
+def warn_of_changes(frames: Sequence[Image], margin: NDArray[np.bool_]) -> None:
+    """Warn if light, position or scale change beside the margin, which registration corrects."""
     count = len(frames)
-    if count < 4 or min(frames[0].shape) < 64:  # too few or too small to decide
+    rows, cols = (np.flatnonzero(~margin.all(axis=axis)) for axis in (1, 0))
+    if count < 4 or min(len(rows), len(cols)) < 64:  # too few or too small to decide
         return
-    # Defocus changes the light smoothly, which third differences suppress.
+    frames = [f[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1] for f in frames]
+    # Defocus changes the light smoothly, which third differences suppress, and by 11 % at most.
     level = np.log(np.maximum([cv2.mean(frame)[0] for frame in frames], TINY))
     flicker = float(np.median(np.abs(np.diff(level, 3))))
+    drift = abs(np.polyfit(np.linspace(0, 1, count), level, 1)[0])
     pairs = (frames[k : k + 2] for k in ((count - 1) * n // 4 for n in (1, 2, 3)))
-    # Light that scatters by 2 % gives 0.06; at rest one of the moves stays below 0.2 px.
-    if flicker > 0.06 or all(_motion(*pair) > 0.25 for pair in pairs):
-        what = "light" if flicker > 0.06 else "position"
+    # Light that scatters by 2 % gives 0.06; at rest one of the motions stays below 0.2 px.
+    in_light = flicker > 0.06 or drift > 0.2
+    if in_light or all(motion_between(*pair) > 0.25 for pair in pairs):
+        what = "light" if in_light else "position or scale"
         warnings.warn(
             f"frames change in {what} from one to the next: register=True (--register) corrects it",
             stacklevel=3,
         )
-
-
-def _motion(first: Image, second: Image) -> float:
-    """Return the motion between two frames, px of a reduced frame; 0 if they do not correlate."""
-    # Of other sides than powers of two cv2.phaseCorrelate finds half a pixel where nothing moved.
-    side = min(2 ** int(np.log2(min(first.shape))), 256)
-    small = [cv2.resize(f, (side, side), interpolation=cv2.INTER_AREA) for f in (first, second)]
-    (x, y), peak = cv2.phaseCorrelate(*(image.astype(np.float32) for image in small))
-    motion = float(np.hypot(x, y))
-    return motion if peak > 0.4 and motion < 16 else 0.0
