@@ -8,7 +8,7 @@ rounds. `fit_dimple` fits (4.2) itself to the visible flanks.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ _BEYOND_RIM = 1.3
 #: to depth⁻³, so that an error of a sixth of the depth is a factor of √e. A limit of 0.03 rejects
 #: one of nine embryos, and limits up to 0.3 change nothing.
 _MAX_RMS = 1 / 6
+#: Distance from the first fit, as a fraction of the depth, beyond which a point gains no
+#: influence. With 10 % outliers of 20 px, one of eight outlines is lost at 1/12 and none at 1/20;
+#: 1/50 changes the radius of an outline of another shape by up to 0.8 %.
+_INFLUENCE = 1 / 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,8 +141,8 @@ class DimpleFit(FlatResult):
     rim_curvatures : tuple of float
         Curvature of the outline just outside the rim, left and right, in 1/µm.
     rms_px : float
-        Root mean square distance of the outline from the fit, in px. If it is well above the
-        uncertainty of the points, the outline has not the profile (4.2).
+        Root mean square distance of the outline from the fit, in px, of the points that were kept.
+        If it is well above the uncertainty of the points, the outline has not the profile (4.2).
     pixel_size, probe_half_width : float
         As given, in µm.
     """
@@ -223,7 +227,9 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     outline = np.stack([boundary.x, boundary.y, boundary.uncertainty])[:, ~boundary.under_probe]
     start = _initial_dimple(outline[0], outline[1], boundary)
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]
-    first, _ = _fit(_near(outline, start), start, c)
+    # The first fit is robust, so that outliers do not spoil it before they are removed.
+    limit = _INFLUENCE * max(start.depth, 1.0)
+    first, _ = _fit(_near(outline, start), start, c, limit)
     near = _near(outline, first)
     distance = np.abs(_normal_distance(first, near[0], near[1], c) / near[2])
     # One of 16 000 normal errors is beyond four standard deviations; 3 to 6 change E by up to 0.4
@@ -319,9 +325,17 @@ def _near(outline: Array, dimple: _Dimple) -> Array:
     return outline[:, np.abs(outline[0] - dimple.x) < _BEYOND_RIM * dimple.radius]
 
 
-def _fit(outline: Array, start: _Dimple, c: float) -> tuple[_Dimple, OptimizeResult]:
-    """Fit a dimple to the rows x, y, uncertainty of an outline by least squares."""
+def _fit(
+    outline: Array, start: _Dimple, c: float, limit: float | None = None
+) -> tuple[_Dimple, OptimizeResult]:
+    """Fit a dimple to the rows x, y, uncertainty of an outline by least squares.
+
+    The influence of a point does not grow any more beyond the distance `limit`, px.
+    """
     x, y, uncertainty = outline
+    robust: dict[str, Any] = {}
+    if limit is not None:
+        robust = {"loss": "soft_l1", "f_scale": limit / float(np.median(uncertainty))}
     # The tilt, in radians, is limited to four times that of a probe; 0.1 to 0.6 change nothing.
     far, tilt, sharpest = np.inf, 1 / 4, 1 / start.radius
     lower = [-far, -far, -tilt, c + 1, 0.0, 0.0, 0.0]
@@ -331,6 +345,7 @@ def _fit(outline: Array, start: _Dimple, c: float) -> tuple[_Dimple, OptimizeRes
         np.clip(start, *bounds),
         bounds=bounds,
         x_scale="jac",
+        **robust,
     )
     return _Dimple(*result.x.tolist()), result
 

@@ -93,11 +93,11 @@ class ImageEstimate(FlatResult):
     def model_moduli(self) -> dict[str, float]:
         """Modulus of this dimple by each model that can have it, in MPa, by the name of the model.
 
-        The models are the point load (4.7), a flat disc with and without the pressure F/(π a²), and
-        a closed capsule. Discs and capsules have a neo-Hookean and a Hookean law. The capsule has
-        the radius of the outline if both of its ends are steep, and it is omitted otherwise. The
-        modulus of (4.7) may be four times that of the capsule, or more
-        (benchmarks/capsule_embryo.py).
+        The models are the point load (5.2), which is (4.7) solved for E, a flat disc with and
+        without the pressure F/(π a²), and a closed capsule. Discs and capsules have a
+        neo-Hookean and a Hookean law. The capsule has the radius of the outline if both of its ends
+        are steep, and it is omitted otherwise. The modulus of (5.2) may be four times that of the
+        capsule, or more (benchmarks/capsule_embryo.py).
         """
         lengths = {name: self.given[name] for name in ("thickness", "probe_half_width")}
         nu = self.given["poisson_ratio"]
@@ -221,10 +221,11 @@ def modulus_from_image(
 
 
 def _egg_radius(boundary: Boundary, pixel_size: float) -> float | None:
-    """Return the radius of the sphere with the ends of the outline, µm, or None if they are flat.
+    """Return the radius, µm, of the sphere with the slopes and the distance of the outline's ends.
 
-    The radius of a pressed capsule is nearly that of the sphere: its equator grows by at most 2 %,
-    which is less than the uncertainty of the directions of the ends.
+    It is None if the ends are flat. The radius of a pressed capsule is nearly that of the sphere:
+    its equator grows by at most 2 %, which is less than the uncertainty of the directions of the
+    ends.
     """
     points = np.stack([boundary.x, boundary.y])
     ends = np.stack([points[:, :MIN_SIDE], points[:, -MIN_SIDE:]])

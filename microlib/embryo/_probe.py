@@ -20,8 +20,8 @@ from scipy.ndimage import map_coordinates, median_filter
 from microlib._common import Array, FlatResult, as_array, robust_std
 from microlib.embryo._rotation import Rotation
 
-# The grey levels that separate the probe from what is beside it are stated here alone. Each is a
-# mixture of two grey levels that are measured in the same image.
+# The grey levels that separate the probe from what is beside and below it are stated here alone.
+# Each is a mixture of two grey levels that are measured in the same image.
 
 #: A run of pixels at the upper edge of the image belongs to a probe if it is darker than this
 #: fraction of the ground. The blur, px, keeps noise from interrupting the probe's sides. The second
@@ -34,7 +34,8 @@ _SIDE_LEVEL = 1 / 3
 #: Level at which an edge is located to a fraction of a pixel: a blur does not move the middle.
 _EDGE_LEVEL = 1 / 2
 
-# Lengths are in px. Half or twice an unnamed number changes E of nine embryos by less than 2 %.
+# Lengths are in px. Numbers without a name below may be halved or doubled: E of nine embryos then
+# changes by less than 2 %.
 
 #: Rows at the upper edge in which the probe is searched, and least length of a leaning probe.
 _TOP_ROWS = 16
@@ -277,12 +278,12 @@ def _entering(grey: NDArray[np.float32], darkness: float) -> _Entering:
     return _Entering(_follow(grey, run, level, runs.ground), level, is_tube)
 
 
-def _edge(profile: Array, level: float, ground: int) -> float:
-    """Return where a profile changes from the probe's level to the ground, in px, or NaN.
+def _edge(profile: Array, level: float, outside: int) -> float:
+    """Return where a profile changes from the probe's level to that outside, in px, or NaN.
 
-    The grey level of the ground is the mean of the last `ground` samples.
+    The grey level outside of the probe is the mean of the last `outside` samples.
     """
-    limit = level + _EDGE_LEVEL * (profile[-ground:].mean() - level)
+    limit = level + _EDGE_LEVEL * (profile[-outside:].mean() - level)
     k = int((profile > limit).argmax())
     beyond = (limit - profile[k - 1]) / (profile[k] - profile[k - 1]) if k > 0 else np.nan
     return _INTERVAL * float(k - 1 + beyond)

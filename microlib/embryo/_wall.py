@@ -17,8 +17,8 @@ from scipy.special import ndtr
 
 from microlib._common import Array, NormalEquations, gauss_newton
 
-#: Largest distance between wall and middle of a profile, px. Canny's edge lies on the outer flank
-#: of the wall, in whole px. A range of 1.8 px loses steep walls.
+#: Largest distance between wall and middle of a profile, in the unit of the offsets. Canny's edge
+#: lies on the outer flank of the wall, in whole px. A range of 1.8 loses steep walls.
 _SEARCH_RANGE = 2.5
 
 
@@ -43,11 +43,12 @@ def locate_wall(
     profiles : ndarray, shape (n, m)
         Grey levels.
     offsets : ndarray, shape (m,)
-        Place of each sample along the profile, ascending, in px.
+        Place of each sample along the profile, ascending, in units in which the blur is 0.5 to 3 (a
+        px, or two for a broad blur).
     weights : ndarray, shape (n, m)
         1 for samples to use, 0 for samples to leave out.
     pixel : float, optional
-        Size of a pixel in the unit of the offsets. Samples closer together are not independent.
+        Size of a px in that unit. Samples closer together are not independent.
 
     Returns
     -------
@@ -102,8 +103,8 @@ def locate_wall(
     every = np.arange(len(profiles))
     grid = np.linspace(-_SEARCH_RANGE, _SEARCH_RANGE, 11)
     start, _ = scan(every, min((0.7, 1.1, 1.7, 2.6), key=lambda s: scan(every[::16], s)[1]))
-    # Every fourth profile determines the blur well enough. An error of 1e-3 px of the blur moves a
-    # wall by less than 1e-4 px.
+    # Every fourth profile determines the blur well enough. An error of the blur by 1e-3 moves a
+    # wall by less than 1e-4.
     search = {"bounds": (0.5, 3), "method": "bounded", "options": {"xatol": 1e-3}}
     blur = float(minimize_scalar(lambda s: fit(every[::4], s)[1].cost.sum(), **search).x)
     position, equations = fit(every, blur)
