@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ class Stack(Result, Iterable[Image]):
 
     frames: Iterable[Image]
     first: Image
-    name: Callable[[int], str] = lambda number: f"frames[{number}]"
+    name: Callable[[int], str] = field(default_factory=lambda: "frames[{}]".format)
     count: int | None = None
     axis: str = ""
     positions: Array | None = None
