@@ -122,12 +122,12 @@ def calibrate(
     estimated f differs between views of different magnification. The result contains the f of the
     first view.
 
-    With several views, two additions to the model with one distortion coefficient κ are tested,
-    first the principal point and then a second coefficient κ₂, see
-    :func:`microlib.microscope.undistort`. An addition is kept if it lowers the Bayesian information
-    criterion. The names of the additional parameters are "distortion_k2" (1/µm⁴), and "principal_x"
-    and "principal_y" (px from the middle of the image). The principal point of a single view is the
-    middle of the image, as in the thesis.
+    With several views, two additions to the model with one distortion coefficient κ are tested: a
+    second coefficient κ₂, see :func:`microlib.microscope.undistort`, and the principal point. An
+    addition is kept if it lowers the Bayesian information criterion. The names of the additional
+    parameters are "distortion_k2" (1/µm⁴), and "principal_x" and "principal_y" (px from the middle
+    of the image). The principal point of a single view is the middle of the image, as in the
+    thesis.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

@@ -223,9 +223,11 @@ class Calibration(Result):
 
         * ``opencv``: camera matrix and distortion coefficients as ``cv2.undistort`` takes them,
           their largest deviation from this model in the image, and rotation and translation of
-          each view. What the points do not determine is null: the rotation of a view whose tilt is
-          undetermined, and without the principal distance also the camera matrix, the distortion
-          and the translations.
+          each view. A given focal length makes T_op + f differ between views of different
+          magnification; the camera matrix is that of the first view, and the translations are
+          those for this matrix. What the points do not determine is null: the rotation of a view
+          whose tilt is undetermined, and without the principal distance also the camera matrix, the
+          distortion and the translations.
         * ``imagej``: width and height of a pixel, as in `um_per_pixel` at the pattern's origin.
         * ``micro_manager``: pixel size, the root of width times height. Its 95 % interval is in
           ``pixel_size_interval_um``; an infinite upper limit is null.
@@ -246,6 +248,9 @@ class Calibration(Result):
         ]
         # Of the root of the area, and of the height.
         mean, height = np.sqrt(scope.pitch[1] / scope.pitch[0]), scope.pitch[1] / scope.pitch[0]
+        # One camera matrix serves all views, so the depth of each is that of its magnification.
+        sensor_distance = scope.tube_length + scope.focal_length
+        translations = [[v.tx, v.ty, sensor_distance / v.magnification] for v in self.views]
         own = {n: v for n, v in vars(self).items() if n != "microscope"}
         own |= {n: np.array(own[n]).astype(str) for n in _NUMBERS}
         own["parameters"] = {
@@ -260,7 +265,7 @@ class Calibration(Result):
                 "distortion_coefficients": terms if known else None,
                 "distortion_model_error_px": worst if known else None,
                 "rotation_vectors": rotations,
-                "translation_vectors_um": [v.translation if known else None for v in self.views],
+                "translation_vectors_um": translations if known else [None] * len(self.views),
             },
             "micro_manager": {"PixelSizeUm": mean * pixel.value},
             "imagej": {

@@ -88,6 +88,22 @@ def test_json_describes_the_camera_to_other_programs():
     assert content["micro_manager"]["PixelSizeUm"] == pytest.approx(np.sqrt(width * height))
 
 
+def test_json_keeps_the_scale_of_each_view_with_a_given_focal_length():
+    """OpenCV has one camera matrix for two views whose T_op + f differ by their magnification."""
+    far = replace(
+        SCOPE, tube_length=0.95 * SCOPE.tube_length, distance=SCOPE.distance / 0.95, alpha=-0.4
+    )
+    worlds = [grid_in_view(each) for each in (SCOPE, far)]
+    images = [each.project(world) for each, world in zip((SCOPE, far), worlds, strict=True)]
+    found = calibrate(worlds, images, **SENSOR, focal_length=SCOPE.focal_length)
+    camera = json.loads(found.to_json())["opencv"]
+    lens = [np.array(camera[n]) for n in ("camera_matrix", "distortion_coefficients")]
+    for view, (world, image) in enumerate(zip(worlds, images, strict=True)):
+        pose = [np.array(camera[n][view]) for n in ("rotation_vectors", "translation_vectors_um")]
+        seen = cv2.projectPoints(np.column_stack([world, 0 * world[:, 0]]), *pose, *lens)[0][:, 0]
+        assert np.abs(seen - image).max() < 0.2  # 12 px if each view kept its own distance
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
 def test_calibration_survives_json_and_csv(tilt, tmp_path):
     """Also what is not finite: variances of what one view without tilt does not determine."""
