@@ -61,6 +61,29 @@ def test_inverted_charuco_board_has_the_same_corners():
     np.testing.assert_allclose(inverted.points, plain.points, atol=0.1)
 
 
+@pytest.mark.parametrize("seed", [1, 9])
+def test_small_inverted_board_is_detected_before_a_busy_ground(seed):
+    """The saddle points of the ground form lattices of 54 points; the board has 12 corners."""
+    rng = np.random.default_rng(seed)
+    normal = [rng.normal(0, 1, (720, 1280)) for _ in range(3)]
+    ground = sum(
+        blur * cv2.GaussianBlur(layer, (0, 0), blur)
+        for blur, layer in zip((1.2, 3, 9), normal, strict=True)
+    )
+    ground = 90 + 45 * ground / ground.std()
+    view = np.array([[0.95, -0.1, 190], [0.08, 1, 275], [1e-4, 2e-4, 1]])
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    flat = 255 - cv2.aruco.CharucoBoard((4, 5), 1.0, 0.75, markers).generateImage((320, 400))
+    board, sheet = (cv2.warpPerspective(each, view, (1280, 720)) for each in (flat, 0 * flat + 255))
+    image = np.where(sheet > 127, 40 + 0.6 * board, ground)
+    found = detect_charuco(photograph(image, 1.0, 2.0, seed))
+    corners = 80.0 * np.argwhere(np.ones((3, 4))) + 79.5
+    truth = cv2.perspectiveTransform(corners[None], view)[0]
+    assert len(found.points) == 12
+    distance = np.linalg.norm(found.points[:, None] - truth, axis=2)
+    assert distance.min(axis=0).max() < 0.3
+
+
 @pytest.mark.parametrize("noise", [2.0, 15.0])
 @pytest.mark.parametrize("blur", [0.3, 1.5])
 def test_chessboard_without_markers_is_not_named_charuco(noise, blur):

@@ -47,16 +47,25 @@ class Chessboard(Pattern):
         return self.settings.max_board_residual
 
     def search(self, image: GreyImage) -> Iterator[MarkLattice]:
-        """The largest lattice of corners around which the image correlates with a drawn board."""
-        boards, fault = [], f"fewer than {MIN_MARKS}"
+        """The largest lattice of corners around which the image correlates with a drawn board.
+
+        The saddle points of a busy ground form larger lattices than those of a small board.
+        """
+        boards: list[tuple[Array, GridIndex]] = []
+        fault = f"fewer than {MIN_MARKS}"
         for blur in self.settings.saddle_blurs:
-            with suppress(ValueError):
-                centers, grid = self._correlated(image, *self._grow_board(image, blur))
-                if has_markers(image, centers, grid, self.settings) == self.markers:
-                    boards.append((centers, grid))
-                else:
-                    markers = "no markers" if self.markers else "markers"
-                    fault = f"those of a board with {markers} in its fields"
+            for number, (centers, grid) in enumerate(
+                self._grow_boards(image, blur)[: self.settings.max_boards]
+            ):
+                if len(grid) <= max((len(board[1]) for board in boards), default=0):
+                    break  # the following pieces are not larger either
+                with suppress(ValueError):
+                    centers, grid = self._correlated(image, centers, grid)
+                    if has_markers(image, centers, grid, self.settings) != self.markers:
+                        markers = "no markers" if self.markers else "markers"
+                        fault = f"those of a board with {markers} in its fields"
+                    elif number == 0 or len(grid) > 2 * MIN_MARKS:
+                        boards.append((centers, grid))
         if not boards:
             raise ValueError(f"image must show {self.shown}, got {fault}")
         centers, grid = max(boards, key=lambda board: len(board[1]))
@@ -77,12 +86,12 @@ class Chessboard(Pattern):
     def check(self, lattice: FittedLattice) -> None:
         """Do nothing, because the search has compared the image with the drawn board."""
 
-    def _grow_board(self, image: GreyImage, blur: float) -> tuple[Array, GridIndex]:
-        """Corners of the largest board among the saddle points, and the column and row of each."""
+    def _grow_boards(self, image: GreyImage, blur: float) -> list[tuple[Array, GridIndex]]:
+        """Corners and indices of possible boards among the saddle points, the largest first."""
         settings = self.settings
         centers, hessians = _saddles(image.grey, blur, settings)
         if len(centers) < MIN_MARKS:
-            raise ValueError("no board is found")
+            return []
         near = neighbors(centers, settings.corner_neighbors[self.markers])
         toward = centers[near] - centers[:, None]
         toward /= np.linalg.norm(toward, axis=2, keepdims=True)
@@ -96,9 +105,7 @@ class Chessboard(Pattern):
         suits = along & may_adjoin(np.arange(len(near))[:, None], near)
         tolerant = replace(settings, step_tolerance=settings.corner_tolerance)
         pieces = grow_pieces(centers, near, suits, may_adjoin, tolerant)
-        if not pieces:
-            raise ValueError("no board is found")
-        return centers[pieces[0][0]], pieces[0][1]
+        return [(centers[numbers], grid) for numbers, grid in pieces]
 
     def _correlated(
         self, image: GreyImage, centers: Array, grid: GridIndex

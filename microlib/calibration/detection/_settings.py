@@ -47,6 +47,10 @@ class DetectionSettings:
     max_saddles : int
         Number of the strongest saddle points that are used, which limits the time. A board of 40 ×
         28 fields has 1053 corners.
+    max_boards : int
+        Number of the largest lattices of saddle points that are compared with a drawn board. In 20
+        drawings of a board of 12 corners before a busy ground it is among the 13 largest, and the
+        largest in 5. Those after the largest must have more than eight corners of a board.
     corner_neighbors : (int, int)
         The same as `neighbors` for the corners of chessboards and of ChArUco boards. Most saddle
         points of a ChArUco board belong to its markers.
@@ -184,6 +188,7 @@ class DetectionSettings:
     saddle_blurs: tuple[float, float] = (1.5, 3.0)
     min_saddle: float = 0.01
     max_saddles: int = 4000
+    max_boards: int = 16
     corner_neighbors: tuple[int, int] = (12, 50)
     max_edge_curvature: float = 1 / 4
     max_corner_product: float = -1 / 2
