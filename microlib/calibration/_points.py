@@ -82,8 +82,12 @@ def _of_detections(
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
     pitch = as_scalar("pitch", pitch, above=0)
     size = detections[0].image_size
-    if any(each.image_size != size for each in detections):
-        raise ValueError("world must hold detections in images of one size, got several")
+    sizes = {f"{width}×{height}" for width, height in (each.image_size for each in detections)}
+    if len(sizes) > 1:
+        raise ValueError(
+            f"world must hold detections in images of one size, got {' and '.join(sorted(sizes))} "
+            "px: leave out the images of another size"
+        )
     squares = any(len(np.unique(each.group)) < len(each.group) for each in detections)
     if squares:
         camera = camera | {"mark_places": np.concatenate([each.grid // 2 for each in detections])}

@@ -32,7 +32,7 @@ def held_out_errors(photographs: Photographs, fit: Fit, alone: list[list[Fit]]) 
     rounding = photographs.rounding_variance(fit.poses)
     consistent = squares <= 10**2 * max(np.median(squares), rounding)
     errors = np.full(len(every), np.nan)
-    if consistent.sum() < 3:
+    if len(every) < 3 or consistent.sum() < 2:
         return errors
     for fold in range(min(len(every), 5)):
         rest = every[(every % 5 != fold) & consistent]
