@@ -202,6 +202,21 @@ def test_camera_matrix_and_scale_need_no_pixel_pitch(tmp_path, capsys):
     assert low < 126150 < high
 
 
+def test_difference_of_opencv_camera_above_the_noise_is_printed(tmp_path, capsys, monkeypatch):
+    """A matrix whose principal point is 3 px aside, and the right one."""
+    exported = calibration.Calibration.to_json
+
+    def aside(result):
+        content = json.loads(exported(result))
+        content["opencv"]["camera_matrix"][0][2] += 3
+        return json.dumps(content)
+
+    for name, written, noted in (("right", exported, False), ("aside", aside, True)):
+        monkeypatch.setattr(calibration.Calibration, "to_json", written)
+        assert status(GRID, tmp_path / name) == 0
+        assert ("projects the marks up to 3 px from the" in capsys.readouterr().err) == noted
+
+
 def chessboards() -> list[np.ndarray]:
     """Draw five views of a tilted chessboard through one lens of 900 px."""
     flat = np.pad(np.kron(np.indices((7, 9)).sum(axis=0) % 2, np.ones((40, 40))), 60)
@@ -266,6 +281,14 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
         (31, {}, 1, "the grid covers less than 5 % of the image"),
         (32, {"adequate": False}, 1, "Several photographs show more of the lens\n"),
         (32, {"adequate": False}, 2, "and --pitch the same everywhere?\n"),
+        (32, {"adequate": False}, 1, "points: residuals are 5 px or 7.5 µm rms, largest in"),
+        (
+            32,
+            {"adequate": False},
+            2,
+            "embryo.png 5 px, circles.png 0 px; the stated interval of the pixel"
+            " size is therefore 2.5 times as wide as that by noise",
+        ),
         (32, {"adequate": False}, 3, "is --focal-length that of the objective, the pattern flat"),
         (32, {"lack_of_fit": np.nan}, 1, "too few marks to test whether the model fits"),
         (32, {"high": np.inf, "undetermined": ("f",)}, 1, "the pixel size has no upper limit"),
@@ -281,6 +304,12 @@ def test_advice_depends_on_the_calibration(
     own = {
         "adequate": True,
         "lack_of_fit": 1.0,
+        "residuals": np.repeat([[3.0, 4.0]], 2 * views, axis=0)
+        * np.arange(views).repeat(2)[:, None],
+        "reprojection": Namespace(rms=5.0),
+        "plane_error": Namespace(rms=7.5),
+        "widening": 2.5,
+        "views": [],
         "undetermined": (),
         "high": 1.0,
         **changed,
@@ -288,9 +317,12 @@ def test_advice_depends_on_the_calibration(
     }
     own["um_per_pixel"] = Namespace(high=own["high"])
     ends = [np.array([[30, 40], [30 + n, 40 + 2 * n]]) for n in (side, *[0] * (views - 1))]
-    grids = [Namespace(points=each, image_size=(400, 100), **shown) for each in ends]
+    grids = [
+        Namespace(points=each, positions=each, image_size=(400, 100), **shown) for each in ends
+    ]
     monkeypatch.setattr(calibration, "detect_pattern", lambda *_: ("grid", grids.pop()))
     monkeypatch.setattr(calibration, "calibrate", lambda *_, **__: Namespace(**own))
+    monkeypatch.setattr("microlib._command._calibrate._opencv_difference", lambda *_: 0.0)
     photos = ["circles.png", f"{INPUTS}/embryo.png", f"{INPUTS}/height_um.tif"][:views]
     assert status(GRID.replace("circles.png", shlex.join(photos)), tmp_path) == 0
     printed = capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -53,13 +54,22 @@ def run(a: argparse.Namespace, session: Session) -> End:
     if _leave_out_inconsistent(session, views, result.held_out):
         result = calibrate([found for _, found in views.values()], **scales)
     images, detections = zip(*views.values(), strict=True)
-    _advise(session, result, detections, a.focal_length is not None)
+    _advise(session, result, views, a.focal_length is not None)
+    camera = result.to_json()
+    difference = _opencv_difference(
+        camera, result.views, [a.pitch * d.positions for d in detections]
+    )
+    if difference > result.reprojection.rms:
+        session.note(
+            f"OpenCV's camera in camera.json projects the marks up to {difference:.2g} px from the "
+            f"calibrated model; residuals are {result.reprojection.rms:.2g} px rms"
+        )
     tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in views.items()]
     session.write(
         "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
     )
     session.write("camera.csv", text(result.to_frame().to_csv(lineterminator="\n")))
-    session.write("camera.json", text(result.to_json()))
+    session.write("camera.json", text(camera))
     session.write("look.png", picture(partial(result.plot, found=detections, images=images)))
     session.say(result)
     return End()
@@ -107,19 +117,47 @@ def _leave_out_inconsistent(session: Session, views: Views, held_out: NDArray) -
     return bool(inconsistent.any())
 
 
-def _advise(session: Session, result: Any, detections: Sequence[Any], focal_given: bool) -> None:
+def _opencv_difference(text: str, scopes: Sequence[Any], worlds: Sequence[NDArray]) -> float:
+    """Largest difference, px, between marks as OpenCV's camera and the microscopes project them."""
+    import cv2
+
+    camera = json.loads(text)["opencv"]
+    poses = zip(camera["rotation_vectors"], camera["translation_vectors_um"], strict=True)
+    lens = [camera[name] for name in ("camera_matrix", "distortion_coefficients")]
+    largest = 0.0
+    for scope, world, (rotation, translation) in zip(scopes, worlds, poses, strict=True):
+        if None not in (rotation, translation, *lens):  # null is what the points do not determine
+            space = np.column_stack([world, 0 * world[:, 0]])
+            r, t, matrix, terms = map(np.array, (rotation, translation, *lens))
+            projected = cv2.projectPoints(space, r, t, matrix, terms)[0][:, 0]
+            largest = max(largest, np.abs(projected - scope.project(world)).max())
+    return largest
+
+
+def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> None:
     """Note what to do about a calibration that is worth little."""
     shares = [
-        np.ptp(detection.points, axis=0).prod() / np.prod(detection.image_size)
-        for detection in detections
+        np.ptp(found.points, axis=0).prod() / np.prod(found.image_size)
+        for _, found in views.values()
     ]
     if max(shares) < 0.05:
         session.note("the grid covers less than 5 % of the image: let it fill the image")
     if not result.adequate:
-        more = " Several photographs show more of the lens" * (len(detections) == 1)
+        more = " Several photographs show more of the lens" * (len(views) == 1)
         focal = "--focal-length that of the objective, " * focal_given
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
-        session.note(f"the model does not fit the points: {suspects}{more}")
+        ends = np.cumsum([len(found.points) for _, found in views.values()])[:-1]
+        rms = [np.sqrt((each**2).sum(axis=1).mean()) for each in np.split(result.residuals, ends)]
+        worst = [
+            f"{photo.name} {size:.2g} px"
+            for size, photo in sorted(zip(rms, views, strict=True))[::-1]
+        ]
+        session.note(
+            f"the model does not fit the points: residuals are {result.reprojection.rms:.2g} px or "
+            f"{result.plane_error.rms:.2g} µm rms, largest in {', '.join(worst[:3])}; the stated "
+            f"interval of the pixel size is therefore {result.widening:.2g} times as wide as that "
+            f"by noise; {suspects}{more}"
+        )
     if np.isnan(result.lack_of_fit):
         session.note(
             "too few marks to test whether the model fits: the intervals contain only noise; "

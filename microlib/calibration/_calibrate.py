@@ -189,7 +189,8 @@ def _build_result(
     """
     mark_numbers = _mark_numbers(photographs, fit)
     test = check_fit(photographs, fit, mark_numbers)
-    inner = noise_covariance(photographs, fit, mark_numbers) + test.covariance
+    noise = noise_covariance(photographs, fit, mark_numbers)
+    inner = noise + test.covariance
     undetermined = _undetermined(
         fit, alone, np.sqrt(np.diag(inner)), photographs.residual_variance(fit)
     )
@@ -218,6 +219,7 @@ def _build_result(
         plane_residuals=np.concatenate([s.back_project(seen) - w for s, w, seen in pairs]),
         lack_of_fit=test.lack_of_fit,
         p_value=test.p_value,
+        widening=float(np.sqrt(1 + test.covariance[0, 0] / noise[0, 0])),  # of the magnification
         views=tuple(scopes),
         held_out=held_out_errors(photographs, fit, alone),
     )

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: Fields with numbers that may be infinite or NaN, which JSON can hold as texts only.
-_NUMBERS = ("covariance", "residuals", "plane_residuals", "lack_of_fit", "p_value", "held_out")
+_NUMBERS = (
+    *("covariance", "residuals", "plane_residuals", "lack_of_fit", "p_value", "widening"),
+    "held_out",
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,9 @@ class Calibration(Result):
         covariance includes the model discrepancy, for example another distortion or a bent pattern.
         The part of it that changes the parameters is assumed to be as large as the part that
         remains in the residuals.
+    widening : float
+        Factor by which the model discrepancy increases the uncertainty of `um_per_pixel`, 1 if
+        there is none.
     views : tuple of Microscope
         Microscope of each view; the first one is `microscope`.
     held_out : ndarray, shape (V,)
@@ -89,6 +95,7 @@ class Calibration(Result):
     plane_residuals: Array
     lack_of_fit: float
     p_value: float
+    widening: float
     views: tuple[Microscope, ...]
     held_out: Array
 
@@ -113,7 +120,12 @@ class Calibration(Result):
                 f"  {median:.3g} px rms in held-out views, at most {np.nanmax(self.held_out):.3g}"
             )
         if not self.adequate:
-            lines.append(f"  the model is not adequate: lack of fit {self.lack_of_fit:.3g}")
+            lines.append(
+                f"  the model is not adequate: residuals of {self.reprojection.rms:.2g} px "
+                f"({self.plane_error.rms:.2g} µm) rms, lack of fit {self.lack_of_fit:.3g}; "
+                f"the interval of the pixel size is {self.widening:.2g} times as wide "
+                "as that by noise"
+            )
         elif np.isnan(self.lack_of_fit):
             lines.append("  too few marks to test whether the model is adequate")
         return "\n".join(lines)

@@ -393,7 +393,8 @@ NO_SIZE = {"pixel_pitch": 9.9}
             "pixel_pitch must be given with focal_length"),
         ({"world": FOUND, "pitch": 400, **SENSOR}, "must not be given with"),
         ({"world": [FOUND, WORLD], "pitch": 400, **NO_SIZE}, "either detections or points"),
-        ({"world": [FOUND, OTHER[0]], "pitch": 400, **NO_SIZE}, "one size"),
+        ({"world": [FOUND, OTHER[0]], "pitch": 400, **NO_SIZE},
+            "one size, got 656×490 and 656×491 px: leave out"),
         ({"world": [FOUND, OTHER[1]], "pitch": 400, **NO_SIZE}, "one size"),
     ],
 )  # fmt: skip
@@ -413,13 +414,20 @@ def test_wrong_input_is_rejected_by_name(given, message):
 def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
     scope = tilted(12, 9)
     world = grid_in_view(scope)
-    adequate, sigma = {}, {}
+    adequate, sigma, widening, scale = {}, {}, {}, {}
     for name, each in (("exact", {}), ("lacking", lack)):
         seen = imperfect_projection(scope, world, **each)
         found = [calibrate(world, noisy(seen, seed), **SENSOR) for seed in range(10)]
         adequate[name] = np.mean([c.adequate for c in found])
         sigma[name] = np.median([c.parameters["focal_length"].uncertainty for c in found])
+        widening[name] = np.median([c.widening for c in found])
+        shares = [c.um_per_pixel.uncertainty / c.um_per_pixel.value for c in found]
+        scale[name] = np.median(shares)
     assert adequate["lacking"] <= 0.1
+    assert widening["exact"] == 1
+    noise_alone = scale["lacking"] / widening["lacking"]
+    # The noise is estimated from residuals that contain the discrepancy.
+    assert 0.9 * scale["exact"] < noise_alone < scale["lacking"] / 2
     assert adequate["exact"] >= 0.9  # by chance, one in a thousand is not
     assert sigma["lacking"] > 2 * sigma["exact"]
 
@@ -572,9 +580,10 @@ def test_held_out_views_do_not_determine_their_lens():
     assert len(some) * np.sum(found.held_out**2) > 1.1 * np.sum(found.residuals**2)
 
 
-def test_inconsistent_view_has_the_largest_held_out_error():
+@pytest.mark.parametrize("count", [3, 6])
+def test_inconsistent_view_has_the_largest_held_out_error(count):
     """As if every second row of a board had been skipped in one photograph."""
-    world, image = lens_views(6, aside=(14, -9))
+    world, image = lens_views(count, aside=(14, -9))
     world[2] = world[2] * [1, 2]
     found = calibrate(world, image, **CAMERA)
     assert found.held_out[2] > 10
