@@ -185,7 +185,7 @@ def printed_error(executed: Path) -> str:
 
 
 def place_of_failure(notebook: NotebookNode) -> str:
-    """Return the last cell that began, in words; nothing if none did."""
+    """Return " in cell ID" of the last cell that began; nothing if none did."""
     begun = [c.id for c in notebook.cells if c.metadata.get("papermill", {}).get("start_time")]
     return f" in cell {begun[-1]}" if begun else ""
 

@@ -107,7 +107,8 @@ def resolve_scales(
     """
     Return each scale of an input as given or as its file contains it, or ask for it by name.
 
-    The scales of the demo are those of the demo's own file and of no other.
+    A given scale comes first, then, for a file of `data`, that of its manifest, then that of the
+    file.
 
     Parameters
     ----------

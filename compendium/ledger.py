@@ -19,8 +19,8 @@ Verdicts:
 How a number is compared:
 
 - by ``arithmetic``: it follows from other printed numbers and must lie within the tolerance;
-- by ``simulation``: on rendered images or in a simulated loop. The printed number must lie in the
-  95 % interval, whose half-width must be less than half of the number;
+- by ``simulation``: on rendered images or in a simulated loop. Outside of the 95 % interval the
+  printed number disagrees. Inside it agrees if the half-width is at most half of the number;
 - a ``sentence`` is turned into a condition on printed numbers. (A sentence that needs a simulation
   counts as one.) An interval that contains the limit of the condition cannot tell.
 
@@ -233,13 +233,13 @@ class Record:
         return f"{text}{between} {self.unit}".rstrip()
 
 
-def with_error(value: float, error: float) -> str:
-    """Write a number with its standard deviation, of which two digits say how far it is known.
+def with_error(value: float, half_width: float) -> str:
+    """Write a number and the half-width of its interval, to two digits of that.
 
     Parameters
     ----------
-    value, error : float
-        The number and its standard deviation, above 0.
+    value, half_width : float
+        The number and the half-width of its interval, above 0.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def with_error(value: float, error: float) -> str:
     '(-8.399 ± 0.017)·10⁻¹⁰'
     """
     power = math.floor(math.log10(abs(value))) if 0 < abs(value) < 1e-5 else 0
-    parts = [part / 10**power for part in (value, error)]
+    parts = [part / 10**power for part in (value, half_width)]
     text = " ± ".join(_text(part, parts[1]) for part in parts)
     return f"({text})·10{str(power).translate(_RAISED)}" if power else text
 
@@ -407,7 +407,8 @@ def judge(claim: Claim, value: float, low: float, high: float) -> str:
     value : float
         The computed number, in the claim's unit.
     low, high : float
-        Ends of its interval, by which a simulation is judged.
+        Ends of its interval, by which simulations and sentences are judged. Arithmetic is judged by
+        `value` alone.
 
     Returns
     -------
@@ -492,7 +493,7 @@ class _Session:
     records: dict[str, Record] = field(default_factory=dict)
 
     def add(self, record: Record) -> Record:
-        """Keep a record with its cell; a cell that is run again replaces what it recorded."""
+        """Keep a record with its cell; a later record of an id replaces the earlier one."""
         # The library's tests read claims where IPython is not installed.
         shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
         cell = len(shell.user_ns["In"]) - 1 if shell else 0  # its count may be the next cell's

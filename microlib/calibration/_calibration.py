@@ -61,15 +61,17 @@ class Calibration(Result):
     undetermined : tuple of str
         Parameters that the points do not determine.
     dof : int
-        Degrees of freedom of the covariance, for Student's distribution.
+        Degrees of freedom of the covariance, for Student's distribution: the number of marks minus
+        one if errors are correlated within a mark or between views; 2 N − p if the points are
+        independent, or if there are no more marks than parameters.
     residuals : ndarray, shape (N, 2)
         Image points minus their projection by the microscopes in `views`, px.
     plane_residuals : ndarray, shape (N, 2)
         Image points projected back to the pattern by these microscopes minus the world points, µm.
     lack_of_fit : float
         Size of the smooth part of the residuals over its size by noise alone, the root of the
-        ratio of the lack-of-fit F test. About one for an adequate model, NaN for fewer than 24
-        marks.
+        ratio of the lack-of-fit F test. About one for an adequate model. NaN if all
+        views together have fewer than 24 marks, where a mark counts once in each view.
     p_value : float
         Probability of a larger lack of fit by noise alone, 1 if `lack_of_fit` is NaN. Below 0.1 the
         covariance includes the model discrepancy, for example another distortion or a bent pattern.

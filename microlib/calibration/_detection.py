@@ -29,7 +29,8 @@ class Detection(Result):
         Integer coordinates in the pattern, from zero.
     uncertainty : ndarray, shape (N,)
         Standard deviation of a coordinate of each point, px, from the fit of its outline or from
-        the residuals of the points, whichever is larger.
+        the residuals of the points, whichever is larger. `calibrate` gives all points the same
+        weight.
     group : ndarray of int, shape (N,)
         Number of the mark of each point. The errors of the points of a mark are correlated.
     positions : ndarray, shape (N, 2)

@@ -49,11 +49,12 @@ class ImageEstimate(FlatResult):
 
     Notes
     -----
-    The interval of `modulus` covers the noise of the outline and the distance of the outline from
-    the fitted curve. It does not cover the errors of the given force, of the thickness or of the
-    probe's width, nor the whole bias of a model that does not suit the object. `relative_rms`
-    measures how well the model fits the outline. `model_moduli` and `model_interval` compare other
-    models of the same dimple. They are computed at the first access, which takes half a second.
+    The interval of `modulus` covers the noise of the outline, the distance of the outline from the
+    fitted curve, and the distance of the probe's end from the fitted bottom. It does not cover the
+    errors of the given force, of the thickness or of the probe's width, nor the whole bias of a
+    model that does not suit the object. `relative_rms` measures how well the model fits the
+    outline. `model_moduli` and `model_interval` compare other models of the same dimple. They are
+    computed at the first access, which takes half a second.
     """
 
     modulus: Estimate

@@ -169,7 +169,8 @@ def dimple_from_outline(x: ArrayLike, y: ArrayLike, *, pixel_size: float) -> Out
     x, y : array_like, shape (n,)
         Points of the outline, px, y up. The order is that of the outline, or any order if there is
         one y for each x. Of an outline that turns back in x, such as a closed
-        one, the upper part is used. If only the inverted outline has a dimple, y points down.
+        one, the upper part is used. If the inverted outline has a dimple away from its ends and
+        the upright one has not, y points down.
     pixel_size : float
         Size of a pixel in the object plane, µm/px; 1 for points in µm.
 

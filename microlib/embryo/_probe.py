@@ -236,8 +236,8 @@ def _measure(grey: NDArray[np.float32], darkness: float) -> Probe:
     # (measured).
     if abs(slope) > np.tan(np.deg2rad(4)):
         raise ValueError(
-            "image must show a straight probe, got one that bends by "
-            f"{np.rad2deg(np.arctan(slope)):.1f}°"
+            "image must show a straight probe, got one that still leans or bends by "
+            f"{np.rad2deg(np.arctan(slope)):.1f}° after the image was rotated"
         )
     narrowing = float(slopes[1] - slopes[0])
     tapered = abs(narrowing) * rows.size > MARGIN

@@ -124,10 +124,11 @@ def depth_from_focus(
     - Objects that are narrow in the image. On bars, the share of such pixels was 10 % at a width of
       3 px, 3 to 5 % at 4 px, and less than 1 % at 5 px or more.
 
-    If the best frame of a pixel is the first or the last frame, the pixel is flagged in `at_end`.
-    The pixel then gets the position of that frame and the uncertainty of a uniform distribution
-    over the scan, unless "multiscale" fits a peak inside the scan. If several frames have the same
-    maximum, the first of these frames is the best frame.
+    If the sharpest frame of a pixel is the first or the last frame, the pixel is flagged in
+    `at_end`. Its depth is the position of that frame, or the peak that "multiscale" fits. If the
+    depth is less than half a frame spacing from an end, also inside the scan, the standard
+    deviation of a uniform distribution over the scan is added to the uncertainty in quadrature. If
+    several frames have the same maximum, the first of these frames is the sharpest frame.
 
     References
     ----------

@@ -35,8 +35,8 @@ class FocusResult(FlatResult):
         all pixels lie equally far from a frame, the bias towards that frame remains (measured 1 µm
         at a stated 0.2 to 0.45 µm, with a frame spacing of 10 µm). Below about 60×60 px no bias is
         measured. With every measure it covers a peak that may be noise and a depth at an end of the
-        scan, by up to the standard deviation of a random depth. Errors of the positions and the
-        field curvature of the lens are never part of it.
+        scan: each adds up to the standard deviation of a random depth, in quadrature. Errors of the
+        positions and the field curvature of the lens are never part of it.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.
@@ -168,7 +168,8 @@ def build_result(
         warps, gain, offset = registration.warps, registration.gain, registration.offset
     if margin is not None:
         known &= ~margin
-    # A depth at an end of the scan may lie beyond it: it is as uncertain as a random depth.
+    # A depth within half a frame spacing of an end of the scan may lie beyond it: it is as
+    # uncertain as a random depth.
     z = np.asarray(stack.positions)
     low, high = np.float32(z.min()), np.float32(z.max())
     depth, uncertainty = found.depth[found.at_end], found.uncertainty.copy()

@@ -79,8 +79,8 @@ def read_frames(
     reduce : int
         Side of the square blocks of pixels that are averaged to one.
     axis : {"C", "T", "Z"}, optional
-        Letter of the axis along which the frames of a TIFF come. Needed for a focal stack whose
-        axis the file calls that of channels C or times T, and for a film along C.
+        Letter that the file gives to the axis of the frames. Give "T" or "C" for a focal stack that
+        a TIFF stores along times or channels, and "C" for a film along channels.
     channel, time, series : int, optional
         Index, from zero, of the channel, the time or the series to read. Needed for a TIFF that has
         more than one axis besides rows and columns. If the metadata of a TIFF declare a single

@@ -38,7 +38,8 @@ class Stack(Result, Iterable[Image]):
     positions : ndarray, shape (count,), or None
         Position of each frame along the optical axis, µm.
     pixel_size : float or None
-        Side of a pixel in the object plane, µm/px.
+        Side of a pixel in the object plane, µm/px. None if it is not known, and for frames of one
+        file each.
     corner : (float, float)
         x and y of the center of the first pixel, in pixels of this stack (after `reduce`). They are
         0 at the center of the first pixel of the frames as stored.
@@ -120,8 +121,8 @@ def select_frames(
     shape : sequence of int
         Their lengths.
     choice : dict
-        The channel and the time to read; the axis that is left counts the frames, and is the one
-        that the choice names, if it does.
+        Axis, channel and time that were asked for, which are removed from it. One axis longer than
+        1 may be left, and counts the frames. If the axis is given, it must be that one.
 
     Returns
     -------

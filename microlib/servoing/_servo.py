@@ -43,8 +43,8 @@ class ServoRun(FlatResult):
     jacobian_covariance : ndarray, shape (4, 4)
         Of its elements row by row, px²/µm²; NaN if it was given.
     drift : ndarray, shape (2,)
-        px/s by which the feature moved while the stage stood during calibration; NaN if there was
-        none.
+        px/s by which the feature moves without the stage, fitted with J during calibration; NaN if
+        there was none. The loop does not compensate it.
     reduced_chi2 : float
         χ² per degree of freedom of the calibration. Above 1 the tracks scatter more than their
         covariances state, and `jacobian_covariance` is enlarged by it; NaN if there was none.

@@ -36,7 +36,8 @@ class StageModel:
     increment : float
         Distance between two positions that the drive can take, µm (0.05 for the stages of §5.1).
     travel : float
-        Range of an axis, ± µm around the start (15 mm in all for the stages of §5.1).
+        Range of an axis, ± µm around the start (15 mm in all for the stages of §5.1). `simulate`
+        checks the reference against it, and does not stop the stage there.
     """
 
     saturation: float
@@ -95,7 +96,8 @@ class Simulation(FlatResult):
     position : ndarray, shape (K, 2)
         Of the stage, µm from the start.
     command : ndarray, shape (K, 2)
-        Velocity asked for after each frame, µm/s, as the stage executes it: within its saturation.
+        Velocity computed from each frame and clipped to the saturation, µm/s. It acts `latency`
+        after the exposure.
     saturated : ndarray of bool, shape (K,)
         Where more was asked for than the stage can do.
     """

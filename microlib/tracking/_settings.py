@@ -47,9 +47,9 @@ class TrackerSettings:
         second a plain alignment can confirm a photometric fit, though the ground between details of
         the template may have changed.
     max_difference : float
-        Largest distance of the corners (px) at which a plain alignment confirms a photometric fit,
-        and largest standard deviation of that fit. Without this rule a frame of the gripper takes
-        four times as long.
+        Largest distance of the corners (px), and largest standard deviation of a corner (px), at
+        which a plain alignment confirms a photometric fit. Without this rule a frame of the gripper
+        takes four times as long.
     max_residual : float
         Robust standard deviation of the residual of a photometric fit over the noise, up to which
         nothing is hidden.
@@ -77,8 +77,8 @@ class TrackerSettings:
     apart : float
         Distance of the corners (px) from which on two poses are different ones.
     max_side : int
-        Largest side (px), at the finest level of the search, of a square of the template's area. It
-        limits the cost.
+        Largest root of the template's area (px) at the finest level of the search. It limits the
+        cost.
     distortion_step : float
         Step of the distorted starts along each generator. Without these starts 75 % instead of 92 %
         of the homographies of 15 px are found.

@@ -85,8 +85,8 @@ class Track(FlatResult):
         Returns
         -------
         dict
-            The fields, `center`, and the share of the box that is `hidden`; when `lost` nothing but
-            that, the `reason` and the `confidence`.
+            The fields, `center`, and the share of the box that is `hidden`. When `lost` is true,
+            all values but `lost`, `reason` and `confidence` are None.
         """
         share = {"center": self.center, "hidden": float(np.mean(self.hidden))}
         row = super().to_dict() | flat_row(share)

@@ -73,7 +73,7 @@ def discrepancy_basis(points: Array, view: NDArray[np.intp]) -> Array:
     column, 3 to the power of minus its degree, is the prior standard deviation of its coefficient.
     With equal norms, the stated error of the focal length under bending would be half as large. For
     several views, the basis has one block that is common to all views and one block for each view.
-    A view of fewer than 24 points has no basis.
+    A view of fewer than 24 points has no block of its own.
     """
 
     def smooth(points: Array) -> Array:

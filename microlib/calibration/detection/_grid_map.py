@@ -93,7 +93,7 @@ def fit_grid_map(
     grid : ndarray of int, shape (n, 2)
         Coordinates of the marks in the lattice.
     offsets : ndarray, shape (k, 2)
-        Points of a mark relative to its coordinates, in sides of the square, which are fitted, too.
+        Points of a mark relative to its coordinates, in sides of the square; both sides are fitted.
     image_shape : tuple of int
         Height and width of the image, px.
 

@@ -74,8 +74,8 @@ def find_symmetry(profiles: NDArray, positions: Array, spacing: float) -> tuple[
     symmetry : Symmetry
         With a bend of 0 if no asymmetry is significant.
     centers : ndarray, shape (rows, cols)
-        Mean of the middles at all heights; NaN where the peak is weak, or cut off by the ends of
-        the stack.
+        Mean of the middles at all heights; NaN where the peak is below the median of
+        all peaks, or cut off by the ends of the stack.
     """
     left, right = _crossings(profiles, positions)
     known = np.isfinite(left + right).all(axis=0)

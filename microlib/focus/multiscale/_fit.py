@@ -1,4 +1,6 @@
-"""Gaussian fits to the profiles of focus measures, over seven frames.
+"""Gaussian fits to the profiles of focus measures, over the frames of a window.
+
+The window of the product of measures has seven frames, see `find_profiles`.
 
 The logarithm of the measure is fitted by a parabola, because Gaussian blur makes the measure of a
 pixel nearly a Gaussian of the distance from focus, (3.9).

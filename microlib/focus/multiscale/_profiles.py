@@ -97,9 +97,9 @@ def find_profiles(
     """
     floor = NoiseFloor.of(noise, settings)
     rows, cols = (-(-n // 4) for n in shape)  # every fourth pixel
-    product = PeakTracker(count, 3, (2 * rows, 2 * cols), 3)
-    edge = PeakTracker(count, 1, (2 * rows, 2 * cols), 1)
-    wide = PeakTracker(count, 1, (rows, cols), 2)
+    product = PeakTracker(count, kinds=3, shape=(2 * rows, 2 * cols), reach=3)
+    edge = PeakTracker(count, kinds=1, shape=(2 * rows, 2 * cols), reach=1)
+    wide = PeakTracker(count, kinds=1, shape=(rows, cols), reach=2)
     down, right = (-n % 4 for n in shape)
     for k, frame in enumerate(frames):
         if down or right:

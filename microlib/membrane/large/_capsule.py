@@ -106,6 +106,8 @@ def indent_capsule(
     The model assumes an axisymmetric wall without bending stiffness, an incompressible fluid
     that does not leak, no friction on the plate and a wall bonded to the probe. A force below about
     :math:`\pi c^2 p` does not flatten the wall on the whole face of the probe, and is rejected.
+    An uninflated capsule is solved only above about 1e-3 E h R; an inflation of 1.001 suffices for
+    smaller forces.
 
     A point at the undeformed arc length S, counted from the middle of the plate, has the undeformed
     radius ρ = (R/λ) sin(λS/R) and moves to r(S), z(S). With the tensions per radian H and V of

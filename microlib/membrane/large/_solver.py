@@ -108,8 +108,8 @@ class MembraneState(FlatResult):
         Meridian from the probe's edge to the rim of the disc or to the middle of the plate:
         distance from the axis, and height above the plane of the rim or above the plate, in µm.
     stretches : ndarray, shape (2, N)
-        Stretches along the meridian and around the axis, relative to the stress-free membrane. NaN
-        where the membrane is slack.
+        Stretches along the meridian and around the axis, relative to the stress-free membrane. A
+        slack middle has one node, r = 0, with NaN.
     stresses : ndarray, shape (2, N)
         Nominal stresses in the same directions, force per undeformed section, in MPa. The hoop
         stress is zero where the membrane is wrinkled.

@@ -20,9 +20,10 @@ from microlib.tracking._settings import TrackerSettings
 class Blocks:
     """Means and (co)variances of template t and image g in K blocks of a patch, K.
 
-    `count` is the sum of the weights of the pixels, `visible` that sum over the largest of them,
-    `square` the squared correlation, `unexplained` the variance of the image that is not linear in
-    the template, and `noise_variance` the variance of the difference of two images of the same.
+    `count` is the sum of the weights of the pixels, `visible` is `count` divided by the largest
+    `count`, `square` the squared correlation, `unexplained` the variance of the image that is not
+    linear in the template, and `noise_variance` the variance of the difference of two images of the
+    same.
     """
 
     count: Array

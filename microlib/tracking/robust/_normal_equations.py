@@ -25,8 +25,8 @@ def gram(rows: Array, columns: Array) -> Array:
 def weighted_least_squares(design: Image, value: Image, weight: Image, motions: int = 0) -> Array:
     """Return the x that minimizes Σ weight·(value − x·design)².
 
-    All but the first unknowns, the `motions`, have a ridge: a coefficient of the light that no
-    pixel shows stays as it is.
+    The first `motions` unknowns have no ridge. The others have one, so that a coefficient of the
+    light that no pixel shows stays as it is.
     """
     weighted = design * weight
     return np.linalg.solve(
