@@ -525,7 +525,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
             (f"{GRID} --pixel-pitch {text}", f"--pixel-pitch: invalid number in µm value: '{text}'")
             for text in ("126,000", "1,25", "126.000,5", "1,500.0")  # a comma separates thousands
         ),
-        (f"{OUTLINE} --force-uncertainty -3", "['force'] must be zero or positive"),
+        (f"{OUTLINE} --force-uncertainty -3", "--force-uncertainty must be zero or positive"),
         # Arguments that the library refuses, by the names of the options.
         (f"{STACK} --region 0 0 999 5", "--region must"),
         (f"{STACK} --time 1", "--time must be left out for frames without"),

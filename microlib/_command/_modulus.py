@@ -11,7 +11,7 @@ import numpy as np
 
 from microlib._command._options import add_scales, resolve_scales
 from microlib._command._session import End, Session, picture, text
-from microlib._common import home_path
+from microlib._common import as_scalar, home_path
 
 #: Names of the files that it writes.
 FILES = ("table", "look.png")
@@ -44,10 +44,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
     scales = "force", "pixel_size", "thickness", "probe_half_width", "poisson_ratio"
     values = resolve_scales(a, session, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
-    uncertainties = {
-        "force": a.force_uncertainty or 0.0,
-        "thickness": a.thickness_uncertainty or 0.0,
-    }
+    uncertainties = {}
+    for name in ("force", "thickness"):
+        option = f"{name}_uncertainty"
+        uncertainties[name] = as_scalar(option, getattr(a, option) or 0.0, least=0)
     down = a.y_down or table.y_down
     measured = dimple_from_outline(table.x, -table.y if down else table.y, pixel_size=size)
     if measured.y_down:
