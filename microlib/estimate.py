@@ -49,11 +49,11 @@ class Estimate(FlatResult):
         return self.low, self.high
 
     def __str__(self) -> str:
-        # Two digits of the uncertainty; all six that a person reads where it is unknown.
+        # Two digits of the uncertainty; six digits where it is unknown or tiny.
         known = np.isfinite(self.uncertainty) and self.uncertainty > 0
         digits = 1 - int(np.floor(np.log10(self.uncertainty))) if known else 0
         shown = (
-            f"{number:.{max(digits, 0)}f}" if known else f"{number:.6g}"
+            f"{number:.{max(digits, 0)}f}" if known and digits < 8 else f"{number:.6g}"
             for number in (self.value, self.low, self.high)
         )
         value, low, high = shown

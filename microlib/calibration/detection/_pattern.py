@@ -158,13 +158,7 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
         If the image shows none. The message has the reason for each pattern.
     """
     faults: dict[str, str] = {}
-    factor = int(np.ceil(np.sqrt(image.grey.size / patterns[0].settings.max_pixels)))
-    searched = image.reduced(factor) if factor > 1 else image
-    for small in patterns[0].search(searched):
-        lattice = small
-        if factor > 1:
-            polarity = image if small.image is searched else image.negative()
-            lattice = small.enlarged(polarity, factor)
+    for lattice in _search(image, patterns[0]):
         for pattern in patterns:
             try:
                 return pattern.name, _detect(pattern, lattice)
@@ -174,6 +168,29 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
     raise ValueError(
         "; ".join(dict.fromkeys(faults.values())) or f"image must show {shown}, got none"
     )
+
+
+def _search(image: GreyImage, pattern: Pattern) -> Iterator[MarkLattice]:
+    """Lattices that may be the pattern; those of a large image are searched at reduced size.
+
+    If there are many small marks at that size, some may be lost, and the image is searched at full
+    size.
+    """
+    settings = pattern.settings
+    factor = int(np.ceil(np.sqrt(image.grey.size / settings.max_pixels)))
+    if factor == 1:
+        yield from pattern.search(image)
+        return
+    reduced, dense = image.reduced(factor), False
+    for lattice in pattern.search(reduced):
+        small = np.sqrt(np.median(lattice.marks.areas)) < settings.min_reduced_side
+        if small and len(lattice.grid) >= settings.many_marks:
+            dense = True
+        else:
+            polarity = image if lattice.image is reduced else image.negative()
+            yield lattice.enlarged(polarity, factor)
+    if dense:
+        yield from pattern.search(image)
 
 
 def _detect(pattern: Pattern, lattice: MarkLattice) -> Detection:

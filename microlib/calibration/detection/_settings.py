@@ -17,6 +17,12 @@ class DetectionSettings:
         Number of pixels of an image above which marks are searched in the image at half, a third …
         of its size, and fitted at full size. An image of 12 megapixels without a pattern takes 3 s
         instead of 25 s. In the smaller image marks must have 5 px.
+    min_reduced_side : float
+        Side of a mark (px, the root of its area) in the smaller image, below which the image is
+        searched at full size if the lattice has `many_marks`. Of circles with a side of 9 px in the
+        smaller image, up to half were lost.
+    many_marks : int
+        Number of small marks in the smaller image that are no clutter.
     levels : int
         Number of evenly spaced grey levels of contours, and of levels by rank. A mark is found if
         one of them separates it from its background all around.
@@ -176,6 +182,8 @@ class DetectionSettings:
     """
 
     max_pixels: float = 2.5e6
+    min_reduced_side: float = 14.0
+    many_marks: int = 64
     levels: int = 20
     min_contour: int = 14
     max_area: float = 1 / 16
