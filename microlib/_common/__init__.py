@@ -17,7 +17,6 @@ from microlib._common._checks import (
 from microlib._common._files import SOFTWARE, home_path, replace_file
 from microlib._common._images import as_image, as_image_shape, as_region, luminance
 from microlib._common._least_squares import (
-    MAD_TO_STD,
     TUKEY_LIMIT,
     NormalEquations,
     gauss_newton,

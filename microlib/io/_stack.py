@@ -34,7 +34,7 @@ class Stack(Result, Iterable[Image]):
         Number of frames; None if it is known only after they were read.
     axis : str
         Letter of the axis of frames in a file's metadata, such as Z or T; empty if there is none,
-        or if `read_frames` was told which axis it is.
+        or if its `axis` was given to `read_frames`.
     positions : ndarray, shape (count,), or None
         Position of each frame along the optical axis, µm.
     pixel_size : float or None

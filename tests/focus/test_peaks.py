@@ -198,7 +198,7 @@ def test_rules_reject_small_pieces_and_isolated_depths_only():
     np.testing.assert_array_equal(peaks.depth, depth)
 
 
-def test_a_rule_can_reject_the_peaks_of_the_end_frames():
+def test_rule_rejects_peaks_of_end_frames_by_best_and_count():
     def end_mask(peaks, settings):
         return (peaks.best == 0) | (peaks.best == peaks.count - 1)
 
