@@ -75,8 +75,9 @@ OUTLINE_DOMAIN = (50.0, 265.0)
 LOESS_SPAN = claim("section-5.6/span").value
 #: Force of Table 5.6, µN.
 FORCE = claim("table-5.6/F").value
-#: Width of the probe that section 5.1 names (Nanosensors TL-CONT), µm: nominal, and the specified
-#: ends. From memory of the manufacturer's catalogue, not from the thesis.
+#: Width of the probe that section 5.1 names (Nanosensors TL-CONT), µm. The thesis prints no width.
+#: The first is the round number with which (5.2) gives the printed modulus. The two ends are an
+#: assumed tolerance of 15 %.
 PROBE_WIDTH, PROBE_WIDTH_ENDS = 50.0, (42.5, 57.5)
 #: Thickness h of the chorion, half-width c of the probe (both µm) and Poisson's ratio.
 MEMBRANE: dict[str, Any] = {
@@ -303,7 +304,7 @@ def modulus(
     force : float
         µN; that of Table 5.6 by default.
     probe_half_width : float
-        µm; half of the catalogue width by default.
+        µm; half of `PROBE_WIDTH` by default.
 
     Returns
     -------

@@ -23,9 +23,9 @@ from compendium.experiments.section_5_6 import printed_dimple, right_dimple
 from microlib.embryo import dimple_geometry
 from microlib.membrane import capsule_modulus, dimple_profile
 
-HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about the 25 µm of the catalogue
-MODELS = {"small": "small slopes", "capsule": "closed capsule"}
-PROFILES = {"small": "small-slope model", "capsule": "closed capsule"}
+HALF_WIDTHS = np.arange(10.0, 51.0, 2.5)  # µm, about 25 µm
+MODELS = {"small": "point load (the thesis)", "capsule": "closed capsule"}
+PROFILES = {"small": "point-load model", "capsule": "closed capsule"}
 # The drawing has 480 units for 680 µm, and the bottom of the dimple at (282, 130).
 SCALE, BOTTOM = 480 / 680, (282.0, 130.0)
 REACH = (-400.0, 280.0)  # µm, what is drawn on both sides of the bottom
@@ -90,12 +90,12 @@ def deviation(rim: str, radius: float, r: NDArray, z: NDArray) -> float:
 
 
 def band_of(model: str, radius: float, depth: float) -> dict[str, object] | None:
-    """Return the moduli at both ends of the specified width of the probe, or None without them."""
+    """Return the moduli at both ends of the assumed width of the probe, or None without them."""
     thin, wide = (solve(model, radius, depth, width / 2) for width in thesis.PROBE_WIDTH_ENDS)
     if thin is None or wide is None:
         return None
     left, right = on_axis(wide[0]), on_axis(thin[0])
-    text = f"probe 42.5–57.5 µm: {wide[0]:.2f} to {thin[0]:.2f} MPa"
+    text = f"c = 21.25–28.75 µm: {wide[0]:.2f} to {thin[0]:.2f} MPa"
     return {"x": left, "width": round(right - left, 1), "text": text}
 
 

@@ -2,7 +2,7 @@
 {
   const { make, draw, show, tool } = tryIt.ui;
   const { STEEP, refusal, elasticModulus, modulusStd, dimpleProfile } = tryIt.membrane;
-  // Table 5.6, with half of the catalogue width of the probe.
+  // Table 5.6, with the half-width that the printed modulus implies.
   const INPUTS = [
     ["force", "Force F", "µN", 1, 500, 0.01, 197.24],
     ["rimRadius", "Rim radius a", "µm", 20, 600, 0.01, 246.95],
@@ -66,8 +66,8 @@
     warning.hidden = Boolean(wrong) || !(bends || steepness > STEEP);
     warning.textContent = bends
       ? "The dimple is less deep than two thicknesses. The formula omits bending, so the modulus is too high."
-      : `w_d/a = ${show(steepness)} is above ${STEEP}. The formula assumes small slopes, so the modulus is at least about 5 % too ` +
-        "low. The functions disc_modulus and capsule_modulus of microlib.membrane do not assume small slopes.";
+      : `w_d/a = ${show(steepness)} is above ${STEEP}, so the slopes are not small. The functions disc_modulus and capsule_modulus ` +
+        "of microlib.membrane assume neither small slopes nor a uniform stress.";
     picture.replaceChildren(...(wrong ? [] : [dimple(picture.clientWidth || 340, p)]));
   };
 

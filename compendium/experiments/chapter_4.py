@@ -1,4 +1,4 @@
-"""Chapter 4: what the modulus depends on, and how wrong small slopes are."""
+"""Chapter 4: what the modulus depends on, and where the assumptions of the model end."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from compendium import thesis
 from compendium.ledger import claim
@@ -16,6 +16,7 @@ from microlib.membrane import (
     elastic_modulus,
     finite_slope_modulus,
     mean_strain,
+    membrane_stress,
     modulus_samples,
     modulus_uncertainty,
     steepest_depth,
@@ -56,6 +57,18 @@ def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
         rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
     columns = ["first order", "drawn", "shift of the mean"]
     return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of the depth (%)"), columns)
+
+
+def probe_sines(half_widths: ArrayLike) -> NDArray:
+    """Return the sin θ that (4.1) with the stress of (4.3) needs at the edge of a probe.
+
+    Radius and depth are those of Table 5.6. Force and thickness cancel. The half-widths are in µm.
+    """
+    a, c = INPUTS["rim_radius"], np.asarray(half_widths)
+    sizes = {"thickness": INPUTS["thickness"], "probe_half_width": c}
+    stress = membrane_stress(thesis.FORCE, a, INPUTS["dimple_depth"], **sizes)
+    carried = thesis.FORCE * (1 - (c / a) ** 2)  # by the membrane; the pressure carries the rest
+    return carried / (2 * np.pi * c * INPUTS["thickness"] * stress)
 
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:

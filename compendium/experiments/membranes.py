@@ -19,13 +19,14 @@ from scipy.stats import qmc
 
 from compendium import thesis
 from compendium.experiments.chapter_4 import INPUTS
-from compendium.experiments.section_5_6 import printed_dimple
+from compendium.experiments.section_5_6 import printed_dimple, right_dimple
 from microlib.embryo import GaussianSum, dimple_geometry
 from microlib.membrane import (
     SmallSlopeWarning,
     capsule_modulus,
     dimple_profile,
     disc_modulus,
+    elastic_modulus,
     indent_capsule,
     indent_disc,
     indentation_force,
@@ -44,6 +45,8 @@ DISCS: dict[str, dict[str, Any]] = {
 #: Forces on the discs, in modulus × thickness × radius. Dimples of most discs are a tenth to a half
 #: of the radius deep.
 _LOADS = np.geomspace(2e-3, 0.5, 12)
+#: Assumed width and thickness of the end of a cantilever, µm.
+BLADE = (thesis.PROBE_WIDTH, 2.0)
 #: Radius of the chorion where a single value is needed: the middle of the prior, µm.
 EGG = 600.0
 LAWS = ("neo-hooke", "hooke", "mooney-rivlin")
@@ -81,6 +84,46 @@ def modulus_ratios(disc: str) -> pd.Series:
             by_formula = indentation_force(1.0, a, state.depth, **thesis.MEMBRANE)
         ratios[state.depth / a] = float(by_formula / load)
     return pd.Series(ratios)
+
+
+def shallow_disc(pressure: float | str = "balance") -> tuple[float, float]:
+    """Return the stress of the meridian at the probe over that at the rim, and E over (4.7).
+
+    The disc obeys Hooke's law and is so stiff that its depth is 0.002 of its radius. In the limit
+    of small slopes both ratios are the same at any depth.
+    """
+    a, settings = INPUTS["rim_radius"], thesis.MEMBRANE | {"law": "hooke", "pressure": pressure}
+    state = indent_disc(thesis.FORCE, a, modulus=1e7, **settings)
+    along = state.stresses[0]
+    by_formula = indentation_force(1e7, a, state.depth, **thesis.MEMBRANE)
+    return float(along[0] / along[-1]), float(by_formula / thesis.FORCE)
+
+
+def readings() -> pd.DataFrame:
+    """Return E (MPa) by (5.2) of the outline of Table 5.5 for other readings of a, w_d, c (µm)."""
+    curve, pixel, c = thesis.outline_curve(), thesis.EMBRYO_PIXEL, INPUTS["probe_half_width"]
+    left = dimple_geometry(curve, pixel_size=pixel)
+    (x0, y0), a, w_d = left.bottom, left.rim_radius, left.dimple_depth
+    beside_pit = curve.extrema()[0]
+    beside_pit = float(beside_pit[beside_pit > x0].min())
+    right_a, right_depth = right_dimple()
+    rows = {
+        "left-rim": (a, w_d, c),
+        "right-rim": (right_a, right_depth, c),
+        "pit-rim": (pixel * (beside_pit - x0), pixel * (float(curve(beside_pit)) - y0), c),
+        "half-distance": ((a + right_a) / 2, w_d, c),
+        "edge-depth": (a, pixel * (left.rim[1] - float(curve(x0 - c / pixel))), c),
+        "thin-probe": (a, w_d, thesis.PROBE_WIDTH_ENDS[0] / 2),
+        "wide-probe": (a, w_d, thesis.PROBE_WIDTH_ENDS[1] / 2),
+        "blade-thickness": (a, w_d, BLADE[1] / 2),
+        "blade-area": (a, w_d, np.sqrt(BLADE[0] * BLADE[1] / np.pi)),
+        "blade-perimeter": (a, w_d, sum(BLADE) / np.pi),
+    }
+    table = pd.DataFrame(rows, index=["a", "w_d", "c"]).T
+    with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
+        of_lengths = thesis.MEMBRANE | {"probe_half_width": table["c"]}
+        table["E"] = elastic_modulus(thesis.FORCE, table["a"], table["w_d"], **of_lengths)
+    return table
 
 
 def left_half(curve: GaussianSum) -> tuple[NDArray, NDArray, NDArray]:
@@ -130,8 +173,9 @@ def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
     return pd.DataFrame(rows, index=["E", "largest", "rms"]).T
 
 
-def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float]:
-    """Return radius, depth and rms deviation (µm) of the best (4.2) with a level shoulder."""
+def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float, float]:
+    """Return radius and depth of the best (4.2) with a level shoulder, and its rms and largest
+    deviation, all in µm."""
     c = INPUTS["probe_half_width"]
 
     def off(values: NDArray) -> NDArray:
@@ -140,7 +184,8 @@ def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float]:
 
     start = [r.max() / 2, np.ptp(z), z.max()]
     fit = least_squares(off, start, bounds=([1.1 * c, 1.0, -np.inf], np.inf))
-    return *fit.x[:2].tolist(), float(np.sqrt(np.mean(fit.fun**2)))
+    radius, depth, _ = fit.x.tolist()
+    return radius, depth, float(np.sqrt(np.mean(fit.fun**2))), float(np.abs(fit.fun).max())
 
 
 def crest_reach(curve: GaussianSum) -> tuple[float, float]:

@@ -29,7 +29,7 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
         shown = modulus(states[f"{rim} small 25"]["text"])
         assert shown == pytest.approx(recorded[name].value, rel=1e-3)  # four digits are shown
     low, high = (recorded[f"5.6/E-{end}"].value for end in ("wide", "thin"))
-    assert f"probe 42.5–57.5 µm: {low:.2f} to {high:.2f} MPa" in text
+    assert f"c = 21.25–28.75 µm: {low:.2f} to {high:.2f} MPa" in text
     # The model is drawn to the scale of its probe, from the rim at its radius and depth.
     state = states["left small 25"]
     points = np.array([pair.split(",") for pair in state["path"][1:].split()], float)

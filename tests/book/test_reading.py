@@ -18,7 +18,7 @@ CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
 # What a new reader wants from the front page on: what is clicked or searched for, and then seen.
 TASKS = {
-    "what was found": ("reproduces the printed",),
+    "what was found": ("does not apply to this dimple",),
     "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "remember from the catalogue"),
     "which erratum": ("?q=203610", "ul.search li a",
                       "#claim-table-5-1-square-4x-t-z a:text('erratum')", "Right:"),
@@ -66,10 +66,10 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 360, "height": 780})
     open_page(page, html / "intro.html")
-    page.locator("article a[href$='#number-5-6-e-thin']").first.click()
+    page.locator("article a[href$='#number-5-6-e-edge-depth']").first.click()
     page.wait_for_function("window.formulasFit")
-    cell = page.locator(".cell:has(#number-5-6-e-thin)")
-    assert "PROBE_WIDTH_ENDS" in cell.locator("details[open] pre").inner_text()
+    cell = page.locator(".cell:has(#number-5-6-e-edge-depth)")
+    assert "membranes.readings()" in cell.locator("details[open] pre").inner_text()
     assert 0 <= cell.bounding_box()["y"] < 300
 
 

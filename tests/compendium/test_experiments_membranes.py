@@ -3,11 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.integrate import solve_bvp
 
 from compendium import thesis
 from compendium.experiments import membranes, section_5_6
 from compendium.experiments.membranes import PRIORS
-from microlib.membrane import capsule_modulus, dimple_profile, disc_modulus
+from microlib.membrane import capsule_modulus, dimple_profile, disc_modulus, indentation_force
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 DEPTH = section_5_6.printed_dimple()[1]
@@ -84,7 +85,47 @@ def test_fit_shoulder_recovers_drawn_profile():
     noise = np.random.default_rng(0).normal(0, 0.5, r.size)
     found = membranes.fit_shoulder(r, 7.0 - depth + noise)
     # 400 points of 0.5 µm leave 0.1 µm of the depth, and a rim with no corner 0.5 µm of the radius.
-    assert (np.abs(np.subtract(found, (150, 90, 0.5))) < (2, 0.4, 0.025)).all()
+    assert (np.abs(np.subtract(found[:3], (150, 90, 0.5))) < (2, 0.4, 0.025)).all()
+    assert found[3] < 4 * 0.5  # the largest of 400 normal errors
+
+
+@pytest.mark.parametrize("pressure", ["balance", 0.0])
+def test_shallow_disc_agrees_with_foppls_equations(pressure):
+    """Föppl's membrane, E = h = a = F = 1, of u, r N_r and w; a second way to both ratios."""
+    zeta = thesis.MEMBRANE["probe_half_width"] / membranes.INPUTS["rim_radius"]
+    nu, share = thesis.MEMBRANE["poisson_ratio"], 1.0 if pressure == "balance" else 0.0
+
+    def strains(r, u, along):
+        hoop = u / r
+        return hoop, along / r * (1 - nu**2) - nu * hoop
+
+    def rates(r, y):
+        slope = -(1 - share * r**2) / (2 * np.pi * y[1])
+        hoop, radial = strains(r, y[0], y[1])
+        return np.array([radial - slope**2 / 2, (hoop + nu * radial) / (1 - nu**2), slope])
+
+    r = zeta ** np.linspace(1, 0, 400)
+    start = np.array([1e-3 * np.ones_like(r), 0.3 * np.cbrt(r), 1 - r ** (2 / 3)])
+    clamped = lambda left, right: np.array([left[0], right[0], right[2]])  # noqa: E731
+    found = solve_bvp(rates, clamped, r, start, tol=1e-8, max_nodes=20_000)
+    along = found.sol(np.array([zeta, 1.0]))[1] / (zeta, 1.0)
+    sizes = {"thickness": 1e-3, "probe_half_width": zeta, "poisson_ratio": nu}
+    by_formula = indentation_force(1e3, 1.0, found.y[2, 0], **sizes)
+    expected = along[0] / along[1], float(by_formula)
+    assert membranes.shallow_disc(pressure) == pytest.approx(expected, rel=1e-3)
+
+
+def test_readings_follow_from_the_exponents_and_the_curve():
+    found, printed = membranes.readings(), section_5_6.read_off()
+    assert found.loc["left-rim", "E"] == pytest.approx(printed[-1], rel=1e-6)
+    # One length changes at a time: E ~ w_d⁻³, and the thinner probe is the stiffer reading.
+    deep, edge = found.loc["left-rim"], found.loc["edge-depth"]
+    assert edge["E"] == pytest.approx(deep["E"] * (deep["w_d"] / edge["w_d"]) ** 3)
+    by_width = found[found["a"].eq(deep["a"]) & found["w_d"].eq(deep["w_d"])].sort_values("c")
+    assert by_width["E"].is_monotonic_decreasing
+    assert found.loc["half-distance", "a"] == pytest.approx(
+        (deep["a"] + found.loc["right-rim", "a"]) / 2
+    )
 
 
 def test_modulus_ratios_agree_with_inverse_solver():
