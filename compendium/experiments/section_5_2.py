@@ -236,6 +236,18 @@ def printed_means() -> dict[str, float]:
     return {column: claim(f"table-5.2/{column}/mean").value for column in thesis.COLUMNS}
 
 
+def in_pixels(column: str, distance: float) -> float:
+    """Return how many pixels a distance on the pattern (µm) is in the image of a column.
+
+    Examples
+    --------
+    >>> from compendium.experiments.section_5_2 import in_pixels
+    >>> round(in_pixels("circle-1X", 0.2202), 3)
+    0.035
+    """
+    return distance * thesis.table_5_1(column, "M") / thesis.BASLER_PIXEL_PITCH
+
+
 def squares_over_circles(means: Mapping[str, float]) -> float:
     """Return by how much the mean error with squares is larger, at the zoom where it is the least.
 

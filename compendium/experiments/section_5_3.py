@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -20,9 +21,14 @@ Frame = Callable[[ArrayLike, np.random.Generator], NDArray[np.uint8]]
 
 
 def texture_sequence(
-    positions: ArrayLike, rng: np.random.Generator, *, size: int = 50, noise: float = 2.0
+    positions: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    size: int = 50,
+    noise: float = 2.0,
+    grain: float = 1.0,
 ) -> list[NDArray[np.uint8]]:
-    """Return frames of a textured square that moves over another texture, both as fine as 1 px.
+    """Return frames of a textured square that moves over another texture of the same fineness.
 
     Parameters
     ----------
@@ -34,6 +40,8 @@ def texture_sequence(
         Width and height of the square, px.
     noise : float, optional
         Standard deviation of the noise of the camera, grey levels.
+    grain : float, optional
+        Standard deviation of the Gaussian that smooths white noise to a texture, px.
 
     Returns
     -------
@@ -43,7 +51,7 @@ def texture_sequence(
     Notes
     -----
     The square is moved by splines of the fifth order, which are wrong by 0.4 grey levels (root mean
-    square) on this texture; cubic splines by 0.8 and linear ones by 4.5.
+    square) on a texture with a grain of 1 px; cubic splines by 0.8 and linear ones by 4.5.
 
     Examples
     --------
@@ -53,8 +61,8 @@ def texture_sequence(
     """
     positions = np.asarray(positions)
     width, height = (np.ceil(positions.max(axis=0)) + 2 * size).astype(int)
-    ground = mixed_texture((height, width), rng, std=45.0, scales=1.0)
-    square = mixed_texture((size, size), rng, std=45.0, scales=1.0)
+    ground = mixed_texture((height, width), rng, std=45.0, scales=grain)
+    square = mixed_texture((size, size), rng, std=45.0, scales=grain)
     margin = 8  # what the spline assumes beyond decays by 0.43 a sample
     spline = ndimage.spline_filter(np.pad(square, margin, mode="wrap"), order=5)
     frames = []
@@ -116,8 +124,82 @@ def gripper_tracks(seed: int) -> list[tuple[str, NDArray[np.uint8], Track]]:
     return shown
 
 
-def speed_study(seed: int, speeds: ArrayLike, runs: int) -> pd.DataFrame:
-    """Follow a textured square around a circle, ever faster, over a ground textured as finely.
+def esm_shift(
+    first: ArrayLike, then: ArrayLike, box: tuple[int, int, int, int], iterations: int = 50
+) -> NDArray[np.float64]:
+    """Return by how much (x, y) ESM alone finds a template shifted in another frame, px.
+
+    The only unknown is a translation, and the search starts from the place in the first frame.
+    There is no smoothing, no model of the light, no second start and no filter. A step is the
+    least-squares solution with the mean of the gradients of the template and of the shifted frame,
+    as in chapter 2.
+
+    Parameters
+    ----------
+    first, then : array_like, shape (rows, cols)
+        Frame with the template, and the frame in which it is sought, grey levels.
+    box : tuple of int
+        (x, y, width, height) of the template, px.
+    iterations : int
+        Number of steps.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from compendium.experiments.section_5_3 import esm_shift
+    >>> y, x = np.mgrid[:40, :40] / 6.0
+    >>> frames = [np.sin(x - off / 6) + np.cos(y - off / 12) for off in (0.0, 2.0)]
+    >>> esm_shift(*frames, (8, 8, 24, 24)).round(2).tolist()
+    [2.0, 1.0]
+    """
+    x, y, width, height = box
+    rows, columns = np.mgrid[y : y + height, x : x + width]
+    template = np.asarray(first, dtype=float)[rows, columns]
+    spline = ndimage.spline_filter(np.asarray(then, dtype=float), mode="nearest")
+    shift = np.zeros(2)
+    for _ in range(iterations):
+        place = [rows + shift[1], columns + shift[0]]
+        seen = ndimage.map_coordinates(spline, place, mode="nearest", prefilter=False)
+        slopes = (np.array(np.gradient(template)) + np.array(np.gradient(seen)))[::-1] / 2
+        shift += np.linalg.lstsq(slopes.reshape(2, -1).T, (template - seen).ravel())[0]
+    return shift
+
+
+def esm_study(seed: int, steps: ArrayLike, grains: ArrayLike, trials: int) -> pd.DataFrame:
+    """Count how often ESM alone follows a textured square from one frame to the next.
+
+    Parameters
+    ----------
+    seed : int
+        Of the scenes.
+    steps : array_like
+        Motions from the first frame to the second, px. Their direction is random.
+    grains : array_like
+        Of the textures of square and ground, px, see `texture_sequence`.
+    trials : int
+        Scenes for each step and grain.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Trials in which `esm_shift` errs by less than a pixel: a row each step, a column each grain.
+    """
+    table = pd.DataFrame(0, index=pd.Index(steps, name="step (px)"), columns=pd.Index(grains))
+    side = thesis.WINDOW
+    corner = int(np.ceil(table.index.max())) + 2  # of the square; it stays inside the frame
+    for n, (step, grain) in enumerate(itertools.product(table.index, table.columns)):
+        for trial in range(trials):
+            rng = np.random.default_rng([seed, n, trial])
+            angle = rng.uniform(0, 2 * np.pi)
+            motion = step * np.array([np.cos(angle), np.sin(angle)])
+            frames = texture_sequence([[corner] * 2, corner + motion], rng, size=side, grain=grain)
+            found = esm_shift(*frames, (corner, corner, side, side))
+            table.loc[step, grain] += np.linalg.norm(found - motion) < 1.0
+    return table
+
+
+def speed_study(seed: int, speeds: ArrayLike, runs: int) -> pd.Series:
+    """Count the runs in which the tracker of the library follows a square around a circle.
 
     Parameters
     ----------
@@ -126,45 +208,21 @@ def speed_study(seed: int, speeds: ArrayLike, runs: int) -> pd.DataFrame:
     speeds : array_like
         Along the circle, px/s.
     runs : int
-        Of 25 frames, at each speed.
+        Of 25 frames, at each speed, each with a scene of its own.
 
     Returns
     -------
-    pandas.DataFrame
-        Share of the runs without a loss, see `largest_error`, a row each speed: predicted by the
-        Kalman filter, and looked for at the last place.
+    pandas.Series
+        Runs without a loss, see `largest_error`, by speed.
     """
-    index = pd.Index(np.asarray(speeds, dtype=float), name="speed (px/s)")
-    shares = {
-        label: [
-            np.mean([np.isfinite(largest_error(v, [seed, k], predict)) for k in range(runs)])
-            for v in index
-        ]
-        for label, predict in {"with the Kalman filter": True, "from the last place": False}.items()
+    counts = {
+        speed: sum(np.isfinite(largest_error(speed, [seed, k])) for k in range(runs))
+        for speed in np.asarray(speeds, dtype=float)
     }
-    return pd.DataFrame(shares, index=index)
+    return pd.Series(counts, name="runs completed").rename_axis("speed (px/s)")
 
 
-def fastest_followed(shares: pd.Series) -> float:
-    """Return the speed up to which every run was followed, px/s; 0 if not even the slowest was.
-
-    Parameters
-    ----------
-    shares : pandas.Series
-        A column of `speed_study`, slowest first.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from compendium.experiments.section_5_3 import fastest_followed
-    >>> fastest_followed(pd.Series([1.0, 1.0, 0.9, 1.0], index=[100.0, 200.0, 300.0, 400.0]))
-    200.0
-    """
-    every = np.logical_and.accumulate(shares.to_numpy() == 1.0)
-    return float(max([0.0, *shares.index[every]]))
-
-
-def largest_error(speed: float, seed: int | list[int], predict: bool) -> float:
+def largest_error(speed: float, seed: int | list[int]) -> float:
     """Return how far off a run of 25 frames is at most.
 
     Parameters
@@ -173,8 +231,6 @@ def largest_error(speed: float, seed: int | list[int], predict: bool) -> float:
         px/s, along a circle of 80 px radius. The first step comes without warning.
     seed : int or list of int
         Of the scene and of where on the circle the run begins.
-    predict : bool
-        Whether a Kalman filter says where to look next.
 
     Returns
     -------
@@ -190,9 +246,7 @@ def largest_error(speed: float, seed: int | list[int], predict: bool) -> float:
     side = thesis.WINDOW - 1  # whole pixels inside the square
     start = np.array([x, y]) + (side - 1) / 2
     kalman = KalmanFilter(start, interval=thesis.FRAME_INTERVAL, acceleration=3000.0, noise=0.1)
-    tracker = ESMTracker(
-        frames[0], (int(x), int(y), side, side), "translation", kalman=kalman if predict else None
-    )
+    tracker = ESMTracker(frames[0], (int(x), int(y), side, side), "translation", kalman=kalman)
     largest = 0.0
     for frame, position in zip(frames[1:], path[1:], strict=True):
         track = tracker.track(frame)

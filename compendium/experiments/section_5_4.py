@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import f as scipy_f
 from scipy.stats import rice as scipy_rice
 
 from compendium import thesis
@@ -265,6 +266,34 @@ def within(inputs: NDArray, values: NDArray, id: str) -> float:
             f"{values[-1]:.3g}"
         )
     return float(np.interp(printed, values, inputs))
+
+
+def common_speed() -> tuple[float, float]:
+    """Return one largest speed (µm/s) and one rest of the time (s) for both settling times.
+
+    The stage covers the step of 50 px along one axis at the speed, and the rest is the same at both
+    zooms. Two printed times determine the two numbers.
+    """
+    pixels = [thesis.effective_pixel(zoom) for zoom in thesis.ZOOMS]
+    distance = claim("table-5.3/1X/step").value * np.array(pixels)
+    time = np.array([claim(f"table-5.3/{zoom}/settling-time").value for zoom in thesis.ZOOMS])
+    slope, rest = np.polyfit(distance, time, 1)
+    return float(1 / slope), float(rest)
+
+
+def frames_to_distinguish(ratio: float) -> int:
+    """Return how many independent frames each of two standard deviations must come from, so that
+    an F test at 5 % tells that they are not of one noise.
+
+    Examples
+    --------
+    >>> from compendium.experiments.section_5_4 import frames_to_distinguish
+    >>> frames_to_distinguish(2.0)
+    11
+    """
+    counts = np.arange(2, 10_000)
+    p = 2 * scipy_f.sf(ratio**2, counts - 1, counts - 1)
+    return int(counts[p < 0.05][0])
 
 
 #: Largest speeds (µm/s) and latencies (s) that are tried.

@@ -20,9 +20,17 @@ def test_gripper_is_tracked_to_its_true_position():
 
 
 def test_tracking_fails_at_high_speed():
-    found = section_5_3.speed_study(2, [250.0, 4000.0], runs=2)
     # At 4000 px/s 121 px from frame to frame, more than two windows.
-    assert found.to_numpy().tolist() == [[1.0, 1.0], [0.0, 0.0]]
+    assert section_5_3.speed_study(2, [250.0, 4000.0], runs=2).tolist() == [2, 0]
+
+
+def test_esm_alone_converges_farther_on_coarser_texture():
+    """Both textures within 3 px, the coarser one only at 12 px, and neither beyond its square."""
+    found = section_5_3.esm_study(3, [3.0, 12.0, 40.0], [1.0, 5.0], trials=6)
+    assert found.loc[3.0].tolist() == [6, 6]
+    assert found.loc[12.0, 1.0] == 0
+    assert found.loc[12.0, 5.0] >= 5
+    assert found.loc[40.0].tolist() == [0, 0]
 
 
 def test_texture_sequence_moves_by_fractions_of_a_pixel():
