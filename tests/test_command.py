@@ -122,6 +122,7 @@ REGION = {"region": (9, 5, 60, 44)}
         ("--spacing 0.007mm --register --workers 2", {"spacing": 7.0, "register": True}, 1.5),
         ("--pixel-size 2500nm/px --register --reduce 2", {"register": True, "reduce": 2}, 5.0),
         ("--region 9 5 60 44 --workers 2", REGION, 1.5),
+        ("--register auto", {}, 1.5),
     ],
 )  # fmt: skip
 def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, capsys, figures):
@@ -136,6 +137,8 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
         given = f"--{name.replace('_', '-')}" in line
         assert f"{name} {scale} (the file)" in printed or given
         assert f"{name} {scale}" not in printed or not given
+    at_rest = "frames do not change in light, position or scale: not registered"
+    assert (at_rest in printed) == ("auto" in line)
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}
     found = depth_from_focus(np.stack(frames), **options)

@@ -31,8 +31,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options.add_axes(parser)
     parser.add_argument(
         "--register",
-        action="store_true",
-        help="correct motion, scale and brightness between frames",
+        nargs="?",
+        const=True,
+        default=False,
+        choices=["auto"],
+        help="correct motion, scale and brightness between frames; auto: where they change",
     )
     parser.add_argument("--region", help="part of the frames to use, px", **options.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
@@ -81,4 +84,6 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("summary.json", text(json.dumps(summary, indent=2)))
     session.write("look.png", picture(result.plot))
     session.say(result)
+    if a.register == "auto" and result.warps is None:
+        session.say("frames do not change in light, position or scale: not registered")
     return End()

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Frames, as_integer
+from microlib._common import ArgumentError, Frames, Image, as_integer
 from microlib.focus import multiscale
 from microlib.focus._measures import FocusMeasure, single_measure
 from microlib.focus._registration import register as find_registration
@@ -15,11 +19,10 @@ from microlib.focus._result import FocusResult, build_result
 from microlib.focus._stack import (
     Progress,
     bad_frames,
+    change_between,
     grey_levels,
     margin_mask,
     read_stack,
-    warn_of_changes,
-    with_frames,
 )
 from microlib.focus._three_point import three_point_depth
 from microlib.io import read_frames
@@ -33,7 +36,7 @@ def depth_from_focus(
     measure: str | FocusMeasure = "multiscale",
     window: int | None = None,
     workers: int = 1,
-    register: bool = False,
+    register: bool | Literal["auto"] = False,
     region: tuple[int, int, int, int] | None = None,
     reduce: int = 1,
     progress: Progress | None = None,
@@ -62,18 +65,21 @@ def depth_from_focus(
         with "multiscale", which chooses its windows itself, and not with a callable.
     workers : int
         Number of threads. The result does not depend on this number.
-    register : bool
+    register : bool or "auto"
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
         The result is aligned with the middle frame. A pixel has no depth if an
-        aligned frame near the best focus of the pixel does not cover the pixel.
+        aligned frame near the best focus of the pixel does not cover the pixel. With "auto" the
+        frames are registered if they are found to move, and only their brightness is corrected if
+        that alone changes. Motion of less than a thousandth of the shorter side of the image from
+        one frame to the next is not detected, because changes of the blur look alike.
     region : tuple of four ints, optional
         Part of the frames that is used: (x, y, width, height) in px.
     reduce : int
         Side of the square blocks of pixels that are averaged to one pixel, for a quick preview.
     progress : callable, optional
         Function that is called with the number of finished parts of the work and the number of all
-        parts. The reading of a frame is one part, and the computation of the depth has as many
-        parts as there are frames. An exception from the function ends the work.
+        parts. Reading, registration, the depth and the all-in-focus image have as many parts each
+        as there are frames. An exception from the function ends the work.
 
     Returns
     -------
@@ -95,7 +101,7 @@ def depth_from_focus(
     UserWarning
         If `register` leaves out frames that show another scene; if frames are left out that are
         uniform, repeated or of another brightness than those around them; if the brightness or the
-        position or scale of the image changes from frame to frame and `register` is not set; if
+        position or scale of the image changes from frame to frame and `register` is not True; if
         frames have black margins.
 
     Notes
@@ -150,28 +156,55 @@ def depth_from_focus(
     single = single_measure(measure, window)
     threads = as_integer("workers", workers, least=1)
     report = progress or (lambda done, count: None)
+    if not isinstance(register, bool) and register != "auto":
+        raise ArgumentError("register", f'must be True, False or "auto", got {register!r:.80}')
+    # Reading, registration, depths, and the all-in-focus image.
+    stages = 4 if register else 3
     source = read_frames(frames, region=region, reduce=reduce, color=True)
-    stack = read_stack(source, positions, spacing, report)
-    grey = grey_levels(stack)
-    count, dtype, margin = len(grey), stack.dtype, margin_mask(grey)
-    registration = find_registration(grey) if register else None
-    if registration is None:
+    stack = read_stack(source, positions, spacing, lambda done, n: report(done, stages * n))
+    colors, grey = list(stack) if stack.color else None, grey_levels(stack)
+    stack = replace(stack, frames=())  # so that only these lists hold frames
+    count, margin, z = len(grey), margin_mask(grey), np.asarray(stack.positions)
+
+    def finish(stage: float, share: float) -> None:
+        report(round(count * (stage + share)), stages * count)
+
+    kept, change, registration = np.arange(count), "", None
+    if register is not True:
         kept = np.flatnonzero(~bad_frames(grey))
-        images, grey = ([frames[k] for k in kept] for frames in (list(stack), grey))
-        warn_of_changes(grey, margin)
-    else:
-        kept, grey = registration.kept, registration.images(grey)
-        images = registration.images(list(stack)) if stack.color else grey
-    z = np.asarray(stack.positions)[kept]
-    stack = with_frames(stack, images, z)
-
-    def done(share: float) -> None:
-        report(round(count * (1 + share)), 2 * count)
-
+        change = change_between([grey[k] for k in kept], margin)
+    if change:
+        remedy = "register=True (--register) corrects it"
+        if register:
+            remedy = "brightness corrected" if change == "light" else "registered"
+        warnings.warn(f"frames change in {change} from one to the next: {remedy}", stacklevel=2)
+    if register is True or (register and change):
+        registration = find_registration(
+            grey, at_rest=change == "light", done=lambda share: finish(1, share / 2)
+        )
+        kept = registration.kept
+        grey = registration.align(grey, done=lambda share: finish(1.5, share / 2))
+    elif len(kept) < count:
+        names = ", ".join(map(str, np.setdiff1d(np.arange(count), kept)))
+        reasons = "are uniform, repeated or of another brightness: left out"
+        warnings.warn(f"frames {names} {reasons}", stacklevel=2)
+        grey = [grey[k] for k in kept]
+    done = partial(finish, stages - 2)
     if single is None:
-        found = multiscale.multiscale_depth(grey, z, workers=threads, done=done)
+        found = multiscale.multiscale_depth(grey, z[kept], workers=threads, done=done)
     else:
-        found = three_point_depth(grey, z, single, done)
+        found = three_point_depth(grey, z[kept], single, done)
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
-    return build_result(found, stack, kept, dtype, registration=registration, margin=margin)
+    images: Iterable[Image] = grey
+    if colors is not None:
+        images = (registration.aligned(colors[k], k) if registration else colors[k] for k in kept)
+    del grey  # in color no longer needed
+    return build_result(
+        found,
+        replace(stack, frames=images, positions=z[kept]),
+        kept,
+        registration=registration,
+        margin=margin,
+        done=partial(finish, stages - 1),
+    )

@@ -9,9 +9,10 @@ that did.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,17 +47,28 @@ class Registration:
     gain: Array
     offset: Array
 
-    def images(self, frames: Sequence[Image]) -> list[NDArray[np.float32]]:
-        """Return the kept frames aligned with the middle one, with its brightness."""
-        gain, offset = self.gain.astype(np.float32), self.offset.astype(np.float32)
-        size, flags = frames[0].shape[1::-1], cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
-        border = cv2.BORDER_REPLICATE
-        aligned = []
-        for k in self.kept:
-            image, warp = frames[k].astype(np.float32), self.warps[k]
-            moved = cv2.warpAffine(image, warp, size, flags=flags, borderMode=border)
-            aligned.append((np.asarray(moved) - offset[k]) / gain[k])
-        return aligned
+    def aligned(self, image: Image, number: int | np.integer) -> NDArray[np.float32]:
+        """Return a frame, grey or in color, as the middle frame has it in position and light."""
+        result, warp = image.astype(np.float32), self.warps[number]
+        if not np.array_equal(warp, np.eye(2, 3)):
+            flags, border = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+            size = image.shape[1::-1]
+            result[:] = cv2.warpAffine(result, warp, size, flags=flags, borderMode=border)
+        result -= np.float32(self.offset[number])
+        result /= np.float32(self.gain[number])
+        return result
+
+    def align(self, frames: list[Image], done: Callable[[float], object]) -> list[NDArray]:
+        """Return the kept frames aligned; each replaces its frame in the list, to save memory.
+
+        Frames of 8 bits are returned in half precision, which has three digits behind the point
+        for them, all others in single precision. `done` is called with the share that is finished.
+        """
+        kind = np.float16 if frames[0].dtype == np.uint8 else np.float32
+        for finished, k in enumerate(self.kept, 1):
+            frames[k] = self.aligned(frames[k], k).astype(kind, copy=False)
+            done(finished / len(self.kept))
+        return [frames[k] for k in self.kept]
 
     def outside(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Return the pixels that some frame near to theirs, `index`, does not contain."""
@@ -69,8 +81,26 @@ class Registration:
         return result
 
 
-def register(frames: Sequence[Image]) -> Registration:
+def _ignore(share: float) -> None:
+    """Show no progress."""
+
+
+def register(
+    frames: Sequence[Image],
+    *,
+    at_rest: bool = False,
+    done: Callable[[float], object] = _ignore,
+) -> Registration:
     """Find position and brightness of the frames of a stack, relative to the middle one.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray, shape (rows, cols)
+        The frames, grey.
+    at_rest : bool
+        Whether only the brightness changes.
+    done : callable
+        Called with the share of the frames that are compared.
 
     Raises
     ------
@@ -92,12 +122,12 @@ def register(frames: Sequence[Image]) -> Registration:
     small = [_block_means(frame.astype(np.float32), factor) for frame in frames]
     bands = [_band_pass(image) for image in small]
     # If the middle frame shows another scene, its neighbors hardly do.
-    chains = (_chain(bands, start) for start in (count // 2, count // 2 - 1, count // 2 + 1))
     most: dict[int, Array] = {}
-    for chain in chains:
-        most = max(most, chain, key=len)
+    for start in (count // 2, count // 2 - 1, count // 2 + 1):
+        most = max(most, _chain(bands, start, done), key=len)
         if len(most) >= max(3, count / 2):
             break
+        done = _ignore  # of another attempt
     kept = np.array(sorted(most))
     if len(kept) < count:
         out = np.setdiff1d(np.arange(count), kept)
@@ -110,7 +140,7 @@ def register(frames: Sequence[Image]) -> Registration:
         warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=3)
     reference = int(kept[np.abs(kept - count // 2).argmin()])
     inverse = np.linalg.inv(most[reference])
-    relative = {k: most[k] @ inverse for k in most}
+    relative = {k: np.eye(3) if at_rest else most[k] @ inverse for k in most}
     gain, offset = _brightness(small, kept, relative, reference)
     warps = np.full((count, 2, 3), np.nan)
     # From pixels of the small frames, whose centers lie between those of a block.
@@ -120,19 +150,44 @@ def register(frames: Sequence[Image]) -> Registration:
     return Registration(kept=kept, warps=warps, gain=gain, offset=offset)
 
 
-def motion_between(first: Image, second: Image) -> float:
-    """Return the motion between two frames, px of a reduced frame; 0 if they do not correlate.
+class Motion(NamedTuple):
+    """Motion of the image from one frame to the next.
 
-    It is the root mean square over the centers of the four quarters of the frame, so that a turn
-    and a growth of the image count as a shift does.
+    Attributes
+    ----------
+    size : float
+        Root mean square over the centers of the four quarters of the frame, px of a reduced frame,
+        so that a turn and a growth of the image count as a shift does.
+    shift : float
+        Motion of the center, px.
+    growth : float
+        Change of the scale, a share of it.
+    turn : float
+        Rotation, degrees.
     """
+
+    size: float
+    shift: float
+    growth: float
+    turn: float
+
+
+def motion_between(first: Image, second: Image) -> Motion:
+    """Return the motion between two frames; none if they do not correlate."""
     factor = max(min(first.shape) // _WORKING_SIDE, 1)
     bands = [_band_pass(_block_means(f.astype(np.float32), factor)) for f in (first, second)]
     if (warp := _link(*bands)) is None:
-        return 0.0
+        return Motion(0.0, 0.0, 0.0, 0.0)
     rows, cols = bands[0].shape
     centers = np.array([(x * cols, y * rows, 1) for x in (0.25, 0.75) for y in (0.25, 0.75)])
-    return float(np.sqrt(np.mean(np.sum((centers @ warp.T - centers) ** 2, axis=1))))
+    moved = (centers @ warp.T - centers)[:, :2]
+    change = complex(*warp[:2, 0])  # of the scale and the direction
+    return Motion(
+        size=float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
+        shift=factor * float(np.hypot(*moved.mean(axis=0))),
+        growth=abs(change) - 1,
+        turn=float(np.degrees(np.angle(change))),
+    )
 
 
 def _block_means(image: NDArray, side: int) -> NDArray:
@@ -147,12 +202,15 @@ def _band_pass(image: NDArray) -> NDArray:
     return cv2.GaussianBlur(image, (0, 0), 1.0) - cv2.GaussianBlur(image, (0, 0), 15)
 
 
-def _chain(bands: Sequence[NDArray], start: int) -> dict[int, Array]:
+def _chain(
+    bands: Sequence[NDArray], start: int, done: Callable[[float], object]
+) -> dict[int, Array]:
     """Return the frames that can be aligned, starting at one, each with its 3×3 warp from there."""
     warps: dict[int, Array] = {start: np.eye(3)}
     for numbers in (range(start - 1, -1, -1), range(start + 1, len(bands))):
         last = start
         for k in numbers:
+            done((k if k > start else start - k) / len(bands))
             link = _link(bands[last], bands[k])
             if link is not None:
                 warps[k] = link @ warps[last]

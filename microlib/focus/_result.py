@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,7 +97,8 @@ class FocusResult(FlatResult):
         dict
             ``rows`` and ``columns``; ``known``, the share of pixels that have a depth; least,
             median and largest depth, median and largest uncertainty, µm, None where nothing is
-            known; ``at_end``, the share of pixels that are sharpest in an end frame.
+            known; ``at_end``, the share of pixels that are sharpest in an end frame;
+            ``registered``, whether the stack was registered.
         """
         known = np.isfinite(self.depth)
         maps = (values[known] for values in (self.depth, self.uncertainty))
@@ -113,6 +114,7 @@ class FocusResult(FlatResult):
                 "uncertainty_median": np.median(error),
                 "uncertainty_largest": error.max(),
                 "at_end": self.at_end.mean(),
+                "registered": self.warps is not None,
             }
         )
 
@@ -139,10 +141,10 @@ def build_result(
     found: DepthMap,
     stack: Stack,
     numbers: NDArray[np.intp],
-    dtype: np.dtype,
     *,
-    registration: Registration | None = None,
-    margin: NDArray[np.bool_] | None = None,
+    registration: Registration | None,
+    margin: NDArray[np.bool_],
+    done: Callable[[float], object],
 ) -> FocusResult:
     """Return a result; without depth are the pixels in a margin or outside of registered frames.
 
@@ -151,23 +153,22 @@ def build_result(
     found : DepthMap
         Depth of every pixel.
     stack : Stack
-        Frames from which it was found, in memory, and registered if they were.
+        Frames from which it was found, registered if they were; they are iterated once.
     numbers : ndarray of int, shape (n,)
         Number of each of these frames in the source, from which frames may be left out.
-    dtype : dtype
-        Type of the frames as they were read.
-    registration : Registration, optional
+    registration : Registration or None
         Where the frames were before.
-    margin : ndarray of bool, shape (rows, cols), optional
+    margin : ndarray of bool, shape (rows, cols)
         Pixels that are in the black margin of some frame.
+    done : callable
+        Called with the share of the frames of which the all-in-focus image is made.
     """
     known, index = np.isfinite(found.depth), found.frame.astype(np.int32)
     warps = gain = offset = None
     if registration is not None:
         known &= ~registration.outside(np.where(known, index, -1))
         warps, gain, offset = registration.warps, registration.gain, registration.offset
-    if margin is not None:
-        known &= ~margin
+    known &= ~margin
     # A depth within half a frame spacing of an end of the scan may lie beyond it: it is as
     # uncertain as a random depth.
     z = np.asarray(stack.positions)
@@ -182,7 +183,7 @@ def build_result(
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
         confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
         index=np.where(known, numbers.astype(np.int32)[index], np.int32(-1)),
-        all_in_focus=as_type(composite(stack, found.frame), dtype),
+        all_in_focus=composite(stack, len(numbers), found.frame, done),
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
         corner=stack.corner,
@@ -192,12 +193,14 @@ def build_result(
     )
 
 
-def composite(frames: Iterable[Image], index: NDArray[np.integer]) -> Image:
-    """Return every pixel from the frame of that number."""
-    first, *others = frames
-    result, number = first.copy(), index.astype(np.uint16)
-    for k, frame in enumerate(others, 1):
-        cv2.copyTo(frame, cv2.inRange(number, k, k), result)
+def composite(
+    stack: Stack, count: int, index: NDArray[np.integer], done: Callable[[float], object]
+) -> Image:
+    """Return every pixel from the frame of that number, in the type of the stack."""
+    result, number = np.empty_like(stack.first), index.astype(np.uint16)
+    for k, frame in enumerate(stack):
+        cv2.copyTo(as_type(frame, stack.dtype), cv2.inRange(number, k, k), result)
+        done((k + 1) / count)
     return result
 
 

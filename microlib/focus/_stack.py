@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations, islice
@@ -42,10 +41,10 @@ def read_stack(
     for image in islice(source, None if count is None else count + 1):
         images.append(image)
         if count is not None:
-            progress(min(len(images), count), 2 * count)
+            progress(min(len(images), count), count)
     z = check_positions(positions, spacing, len(images)) if z is None else z
     check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
-    return with_frames(source, images, z)
+    return replace(source, frames=images, count=len(images), positions=z)
 
 
 def check_positions(
@@ -80,13 +79,8 @@ def check_count(got: int | str, count: int) -> None:
         raise ValueError(f"frames and positions must be equal in number, got {got} and {count}")
 
 
-def with_frames(stack: Stack, frames: Sequence[Image], positions: Array) -> Stack:
-    """Return a stack of other frames, which are in memory, of the same place and scale."""
-    return replace(stack, frames=frames, first=frames[0], count=len(frames), positions=positions)
-
-
 def grey_levels(stack: Stack) -> list[Image]:
-    """Return the frames of a stack in memory, or their luminance if they are in color."""
+    """Return a list of the frames of a stack in memory, or their luminance if they are in color."""
     return [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) if stack.color else f for f in stack]
 
 
@@ -98,11 +92,6 @@ def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
     straight line through two of them comes close to it. The limit is above what focus alone changes
     (a camera that Micro-Manager simulates: 11 %). Where more than a quarter of the frames differ,
     there is no rule that some could break, and all frames belong to the stack.
-
-    Warns
-    -----
-    UserWarning
-        If there are such frames, with their numbers.
     """
     count = len(frames)
     if count < 5:
@@ -116,15 +105,7 @@ def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:
         for k in range(1, count):
             alike = (statistics[k] == statistics[k - 1]).all()
             bad[k] |= alike and np.array_equal(frames[k - 1], frames[k])
-    if np.count_nonzero(bad) > count / 4:
-        return np.zeros(count, bool)
-    if bad.any():
-        names = ", ".join(map(str, np.flatnonzero(bad)))
-        warnings.warn(
-            f"frames {names} are uniform, repeated or of another brightness: left out",
-            stacklevel=3,
-        )
-    return bad
+    return bad & (np.count_nonzero(bad) <= count / 4)
 
 
 def _from_neighbors(level: Array, k: int) -> tuple[float, float]:
@@ -154,23 +135,24 @@ def margin_mask(frames: Sequence[Image]) -> NDArray[np.bool_]:
     return margin
 
 
-def warn_of_changes(frames: Sequence[Image], margin: NDArray[np.bool_]) -> None:
-    """Warn if light, position or scale change beside the margin, which registration corrects."""
+def change_between(frames: Sequence[Image], margin: NDArray[np.bool_]) -> str:
+    """Return what changes beside the margin from frame to frame, which registration corrects.
+
+    It is "light", or "position or scale" with the median of three measured motions, or nothing.
+    """
     count = len(frames)
     rows, cols = (np.flatnonzero(~margin.all(axis=axis)) for axis in (1, 0))
     if count < 4 or min(len(rows), len(cols)) < 64:  # too few or too small to decide
-        return
+        return ""
     frames = [f[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1] for f in frames]
     # Defocus changes the light smoothly, which third differences suppress, and by 11 % at most.
     level = np.log(np.maximum([cv2.mean(frame)[0] for frame in frames], TINY))
     flicker = float(np.median(np.abs(np.diff(level, 3))))
     drift = abs(np.polyfit(np.linspace(0, 1, count), level, 1)[0])
     pairs = (frames[k : k + 2] for k in ((count - 1) * n // 4 for n in (1, 2, 3)))
-    # Light that scatters by 2 % gives 0.06; at rest one of the motions stays below 0.2 px.
-    in_light = flicker > 0.06 or drift > 0.2
-    if in_light or all(motion_between(*pair) > 0.25 for pair in pairs):
-        what = "light" if in_light else "position or scale"
-        warnings.warn(
-            f"frames change in {what} from one to the next: register=True (--register) corrects it",
-            stacklevel=3,
-        )
+    motions = [motion_between(*pair) for pair in pairs]
+    # At rest one of the motions stays below 0.2 px; light that scatters by 2 % gives 0.06.
+    if min(motion.size for motion in motions) > 0.25:
+        _, shift, growth, turn = np.median(motions, axis=0)
+        return f"position or scale (by {shift:.1f} px, {100 * growth:.2f} % and {turn:.2f}°)"
+    return "light" if flicker > 0.06 or drift > 0.2 else ""

@@ -15,6 +15,7 @@ from microlib.focus._stack import check_positions
 from microlib.focus.common import (
     TINY,
     DepthMap,
+    at_least_single,
     blur,
     find_symmetry,
     halved,
@@ -117,7 +118,7 @@ def track_peaks(
     zero, last, profiles = np.zeros(shape, np.float32), np.zeros(shape, np.float32), []
     best = np.zeros(shape, np.uint16)
     for k, frame in enumerate(frames):
-        value = np.asarray(measure(frame), np.float32)
+        value = np.asarray(measure(at_least_single(frame)), np.float32)
         profiles.append(halved(value, 3))
         cv2.copyTo(value, cv2.inRange(best, k - 1, k - 1), after)
         better = cv2.compare(value, top, cv2.CMP_GT)

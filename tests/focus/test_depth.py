@@ -244,7 +244,7 @@ def test_memory_does_not_grow_with_the_frames():
 
 @pytest.mark.parametrize("color", [False, True])
 @pytest.mark.parametrize("register", [False, True])
-def test_progress_rises_to_twice_the_number_of_frames(color, register):
+def test_progress_rises_to_the_number_of_stages_times_that_of_frames(color, register):
     frames = stack_of(4.0 + tilted_plane((40, 44), 0.05, 0.02), np.arange(9.0))
     if color:
         frames = np.repeat(frames[..., None], 3, axis=3)
@@ -252,6 +252,7 @@ def test_progress_rises_to_twice_the_number_of_frames(color, register):
     depth_from_focus(
         frames, spacing=1, register=register, progress=lambda *done: calls.append(done)
     )
-    assert calls[:9] == [(k + 1, 18) for k in range(9)]  # one for each frame that is read
+    parts = 36 if register else 27
+    assert calls[:9] == [(k + 1, parts) for k in range(9)]  # one for each frame that is read
     assert calls == sorted(calls)
-    assert calls[-1] == (18, 18)
+    assert calls[-1] == (parts, parts)

@@ -6,6 +6,7 @@ light after that.
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 from functools import cache
 
@@ -164,6 +165,56 @@ def test_registration_recovers_offsets() -> None:
     change = result.all_in_focus - same_light
     light = [np.median(change[result.index == k]) for k in range(MIDDLE, MIDDLE + 5)]
     np.testing.assert_allclose(light, 0, atol=0.7)
+
+
+@pytest.mark.parametrize("how", [{"shift": 1.0}, {"scale": 0.15}, {"turn": 8.0}])
+def test_frames_that_are_found_to_move_are_registered_by_auto(how: dict[str, float]) -> None:
+    stack = disturbed(scene("dome", 1)[0], 1, **how)
+    with pytest.warns(UserWarning, match=r"change in position or scale .* next: registered"):
+        result = depth_from_focus(stack, POSITIONS, register="auto")
+    assert result.to_dict()["registered"]
+    assert_same(result, registered("dome", 1, **how))
+
+
+def test_frames_at_rest_are_not_registered_by_auto() -> None:
+    stack = disturbed(scene("dome", 1)[0], 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = depth_from_focus(stack, POSITIONS, register="auto")
+    assert not result.to_dict()["registered"]
+    assert_same(result, depth_from_focus(stack, POSITIONS))
+
+
+def test_only_brightness_is_corrected_by_auto_where_only_light_changes() -> None:
+    stack = disturbed(scene("tilt", 1)[0], 1, drift=2.0, level=0.65)
+    with pytest.warns(UserWarning, match=r"change in light .*: brightness corrected"):
+        result = depth_from_focus(stack, POSITIONS, register="auto")
+    assert result.warps is not None
+    assert result.gain is not None
+    np.testing.assert_array_equal(result.warps, np.broadcast_to(np.eye(2, 3), (COUNT, 2, 3)))
+    true = 2.0 ** ((np.arange(COUNT) - MIDDLE) / (COUNT - 1))
+    np.testing.assert_allclose(result.gain / true, 1, atol=0.01)
+    assert ratio("tilt", 1, result.depth, 0.65) < 1.35
+
+
+def assert_same(result: FocusResult, other: FocusResult) -> None:
+    np.testing.assert_array_equal(result.index, other.index)
+    np.testing.assert_allclose(result.depth, other.depth, atol=1e-5)
+
+
+def test_registration_adds_less_memory_than_the_color_stack_takes() -> None:
+    """Copies of all frames in single precision were five times the stack."""
+    grey = np.tile(disturbed(scene("dome", 1)[0], 1, shift=1.0), (1, 5, 5))
+    color = np.repeat(grey[..., None], 3, axis=3)
+    peaks = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for register in (False, True):
+            tracemalloc.start()
+            depth_from_focus(color[3:12], POSITIONS[3:12], register=register)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+    assert peaks[1] - peaks[0] < color[3:12].nbytes
 
 
 def test_depth_is_nan_where_a_frame_shows_nothing() -> None:

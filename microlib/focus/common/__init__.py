@@ -4,7 +4,7 @@ Nothing in this folder refers to either of them.
 """
 
 from microlib.focus.common._depth_map import DepthMap
-from microlib.focus.common._filters import TINY, blur, doubled, halved, ratio
+from microlib.focus.common._filters import TINY, at_least_single, blur, doubled, halved, ratio
 from microlib.focus.common._planes import smooth_planes
 from microlib.focus.common._significance import peak_significance
 from microlib.focus.common._symmetry import Symmetry, find_symmetry, shape_error
@@ -15,6 +15,7 @@ __all__ = [
     "DepthMap",
     "Spread",
     "Symmetry",
+    "at_least_single",
     "blur",
     "doubled",
     "find_symmetry",

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus.common import Spread, Symmetry, find_symmetry, halved, shape_error
+from microlib.focus.common import (
+    Spread,
+    Symmetry,
+    at_least_single,
+    find_symmetry,
+    halved,
+    shape_error,
+)
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import PeakTracker, find_profiles
 from microlib.focus.multiscale._settings import FocusSettings
@@ -76,8 +83,10 @@ class Axis:
 
 
 def averaged(frames: Sequence[Image]) -> Image:
-    """Return the mean of some frames; a single one keeps its type."""
-    return frames[0] if len(frames) == 1 else np.asarray(np.mean(frames, axis=0, dtype=np.float32))
+    """Return the mean of some frames; a single one keeps its type if OpenCV can filter it."""
+    if len(frames) == 1:
+        return at_least_single(frames[0])
+    return np.asarray(np.mean(frames, axis=0, dtype=np.float32))
 
 
 def group_means(values: Array, ends: NDArray[np.intp]) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Image
-from microlib.focus.common import TINY, Spread, blur
+from microlib.focus.common import TINY, Spread, at_least_single, blur
 from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gain
 
 #: Tiles along each side of the image, their side, and the border of each that its neighbor
@@ -19,7 +19,7 @@ _TILES, _TILE, _SEAM = 6, 48, 12
 def sample_tiles(frame: Image) -> Image:
     """Return the tiles of a frame side by side."""
     rows, cols = (_tile_pixels(n) for n in frame.shape)
-    return frame[rows][:, cols]
+    return at_least_single(frame[rows][:, cols])
 
 
 def _tile_pixels(length: int) -> NDArray[np.intp]:
