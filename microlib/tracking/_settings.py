@@ -66,14 +66,23 @@ class TrackerSettings:
         the other poses were wrong by more than 3 px or of a template that was absent.
     min_inlier_ratio : float
         Share of the points that must stay at the result of a search nearby: the majority.
-    min_uniqueness : float
-        Probability that a peak of the correlation must have of not being a lookalike, so that the
-        search for a lost template starts from it.
-    lookalike_ncc : float
-        Normalized correlation from which on another place of a frame may be a lookalike.
+    period_ncc, period_share : float
+        Normalized correlation, and score over that of the template's own place, from which on
+        another place of the first frame resembles the template.
+    max_periods : int
+        Most such places: the nearest neighbors in a periodic texture.
+    other_period : float
+        Gain in score, of the blocks of the template and its surroundings that agree better at such
+        a place, from which on it may be the right one. In a periodic texture without end it is at
+        most 0.08 for 95 % of poses, and where the texture ends at least 0.1 for 95 %.
+    undecided : float
+        Loss in score, of the blocks that agree less there, up to which the place may be right. It
+        is at most 0.17 in a periodic texture without end, and at least 0.2 where it ends.
+    max_period_share : float
+        Motion, in periods, from which on the pose in such a texture is not believed.
     near : float
-        Motion, in longer sides of the template, below which only lookalikes of the first frame
-        count.
+        Motion, in longer sides of the template, from which on the last frame is searched for a
+        lookalike that has been there before.
     apart : float
         Distance of the corners (px) from which on two poses are different ones.
     max_side : int
@@ -140,8 +149,12 @@ class TrackerSettings:
     threshold: float = 0.7
     confidence_coefficients: tuple[float, ...] = (-3.64, 0.33, 4.16, -9.86, -1.45)
     min_inlier_ratio: float = 0.5
-    min_uniqueness: float = 0.5
-    lookalike_ncc: float = 0.9
+    period_ncc: float = 0.3
+    period_share: float = 0.2
+    max_periods: int = 8
+    other_period: float = 0.1
+    undecided: float = 0.2
+    max_period_share: float = 0.38
     near: float = 0.25
     apart: float = 3.0
     max_side: int = 64

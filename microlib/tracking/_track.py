@@ -26,7 +26,8 @@ class Track(FlatResult):
     reason : str
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"``, ``"low
         correlation"``, ``"no agreement"`` of the template's parts, or ``"ambiguous"``: something
-        looks alike.
+        looks alike. In a periodic texture that surrounds the template on all sides, these are
+        motions by more than 0.38 of the period.
     correlation : float
         Normalized correlation of the template and the frame under the warp, −1 to 1; where only
         parts of the template agree or the light changes, of these parts in that light.
@@ -47,12 +48,9 @@ class Track(FlatResult):
     confidence : float
         Probability that the pose is right within a pixel. It is 1 where every part of the template
         agrees within the noise, and else an estimate that was fitted to photographs. It is reduced
-        if something identical stood nearby in the last frame or if the texture is periodic, the
-        more the further the template moved. It is also reduced if a part of the template moves
-        differently from the rest. Below 0.7 the template counts as lost;
-        `confidence` is then that of the most probable pose, or 0. With a periodic texture the
-        confidence falls to 0.7 at a motion of 0.23 of a period, or of 0.3 of a period if that is
-        more than a quarter of the box.
+        if a part of the template moves differently from the rest, and it is 0 if the pose is
+        ambiguous. Below 0.7 the template counts as lost; `confidence` is then that of the most
+        probable pose, or 0.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the object where the frame shows something else, or nothing; all when `lost`.
         The object is the box, or what the mask of the tracker contains of it.

@@ -51,9 +51,9 @@ class ESMTracker:
     that moves differently from the rest, such as an object in front of a static background. A
     visible template may therefore be reported as lost. If most of the texture in the box is
     background, the background may be tracked instead of the object: the box should show little of
-    it, or a `mask` should exclude it. The motion of a periodic texture by a whole period cannot be
-    distinguished from rest. Motion by nearly a whole period looks like a small motion in the
-    opposite direction.
+    it, or a `mask` should exclude it. If the texture is periodic in the box and about it, motion by
+    a whole period cannot be distinguished from rest. Motion by nearly a whole period then looks
+    like a small motion in the opposite direction.
 
     Parameters
     ----------
@@ -164,8 +164,7 @@ class ESMTracker:
             settings=settings,
             mask=weight,
         )
-        self._last = Sighting(self._template, frame, self._pose)
-        self._first_lookalikes = self._last.lookalikes
+        self._last = Sighting(frame, self._pose)
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.
@@ -203,20 +202,19 @@ class ESMTracker:
         if min(region.shape) < 2:
             return self._lost("out of view")
         image = np.ascontiguousarray(as_image("frame", region) * self._grey_scale)
+        last_region, _ = cut_around(self._last.image, corners, margin)
         search = Search(
             template=self._template,
             frame=SearchFrame(image, self._least_noise),
             pose=translate(self._pose, -origin),
             seen=self._seen,
-            first_lookalikes=self._first_lookalikes,
-            last=self._last,
+            last=Sighting(last_region, translate(self._last.pose, -origin)),
         )
         best = find_template(search, self._attempts)
         if best.reason:
             return self._lost(best.reason, best.confidence)
         self._seen, self._pose = True, translate(best.fit.pose, origin)
-        whole = frame.astype(np.float32) * self._grey_scale
-        self._last = Sighting(self._template, whole, self._pose)
+        self._last = Sighting(frame.astype(np.float32) * self._grey_scale, self._pose)
         return self._found(best)
 
     def _found(self, best: Candidate) -> Track:

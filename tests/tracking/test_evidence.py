@@ -349,28 +349,72 @@ def test_right_pose_has_as_high_a_score_in_less_noise(distance):
     assert less > 0.9 * more
 
 
-@pytest.mark.parametrize("share", [0.55, 0.7])
-def test_periodic_texture_moved_by_most_of_a_period_is_ambiguous(share):
-    tile = mixed_texture((20, 20), default_rng(2), scales=2.0, std=40.0)
-    plane, rng = np.tile(tile, (10, 14)), default_rng(0)
-    slow, fast = (
-        track_of(plane, np.roll(plane, by, 1), rng, (70, 70, 50, 50))
-        for by in (2, round(20 * share))
+def lattice(pattern, period, by, end=np.inf):
+    """Return a pattern of that period, moved by (x, y) px; beyond an `end` the ground rests."""
+    y, x = np.mgrid[:190, :220].astype(float)
+    u, v = x - 105 - by[0], y - 95 - by[1]
+    waves = np.sin(2 * np.pi * (u + 0.4 * v) / period), np.sin(2 * np.pi * (v - 0.4 * u) / period)
+    image = (
+        128
+        + 40
+        * {
+            "checkerboard": np.tanh(3 * waves[0]) * np.tanh(3 * waves[1]),
+            "grating": (waves[0] + waves[1]) / 2,
+            "dots": np.tanh(3 * (waves[0] + waves[1] - 0.8)),
+        }[pattern]
     )
-    assert not slow.lost
-    assert slow.confidence < 1
-    assert (fast.lost, fast.reason) == (True, "ambiguous")
+    ground = mixed_texture(image.shape, default_rng(9), scales=4.0, std=20.0)
+    return np.where((abs(u) < end) & (abs(v) < end), image, ground)
+
+
+@pytest.mark.parametrize("pattern", ["checkerboard", "grating", "dots"])
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+@pytest.mark.parametrize("end", [np.inf, 55])
+def test_periodic_texture_that_moves_by_more_than_0_4_periods_is_ambiguous(pattern, motion, end):
+    rng, box, period = default_rng(0), (80, 70, 50, 50), 20
+    turn = np.array([[1, -0.4], [0.4, 1]]) / 1.16  # along the sides of a cell of the lattice
+    if pattern == "checkerboard":  # along the diagonal, where the period is the side of a square
+        turn = turn @ [[0.5, -0.5], [0.5, 0.5]]
+    tracker = ESMTracker(camera_frame(lattice(pattern, period, (0, 0), end), rng), box, motion)
+    for periods in (0.3, 0.45, 0.6, 1.0):
+        by = periods * period * turn[:, 0]
+        tracker.track(camera_frame(lattice(pattern, period, (0, 0), end), rng))
+        track = tracker.track(camera_frame(lattice(pattern, period, by, end), rng))
+        error = np.abs(track.corners - corners_of(box) - by).max()
+        if periods == 1 and end == np.inf:  # this frame is that of a plane at rest
+            assert error > period / 4
+        else:
+            assert track.lost or error < 1
+        if periods == 0.3:
+            assert not track.lost
+        elif end == np.inf and periods < 1:
+            assert (track.lost, track.reason) == (True, "ambiguous")
 
 
 def test_periodic_texture_is_ambiguous_after_a_loss():
     tile = mixed_texture((20, 20), default_rng(2), scales=2.0, std=40.0)
     plane, rng = np.tile(tile, (10, 14)), default_rng(0)
     tracker = ESMTracker(camera_frame(plane, rng), (70, 70, 50, 50), "translation")
-    views = (np.full(plane.shape, 128.0), plane, np.roll(plane, 5, 1))
-    gone, back, moved = (tracker.track(camera_frame(view, rng)) for view in views)
-    assert gone.lost
-    assert not back.lost
-    assert moved.reason == "ambiguous"
+    for by in (9, 11):
+        blank, moved = np.full(plane.shape, 128.0), np.roll(plane, by, 1)
+        gone, back = (tracker.track(camera_frame(view, rng)) for view in (blank, moved))
+        assert gone.lost
+        assert back.reason == "ambiguous"
+    assert not tracker.track(camera_frame(np.roll(plane, 5, 1), rng)).lost
+
+
+def test_part_of_the_template_that_does_not_repeat_decides_between_periods():
+    rng, box = default_rng(0), (80, 70, 50, 50)
+    mark = mixed_texture((24, 24), rng, scales=2.0, std=40.0)
+    frames = []
+    for by in ((0, 0), (9, 0), (18, 0)):
+        image = lattice("dots", 20, by)
+        image[88:112, 93 + by[0] : 117 + by[0]] = mark
+        frames.append(camera_frame(image, rng))
+    for frame, x in zip(frames, (0, 9, 18), strict=True):
+        track = ESMTracker(frames[0], box, "translation").track(frame)
+        assert not track.lost
+        np.testing.assert_allclose(track.corners, corners_of(box) + np.array([x, 0]), atol=0.1)
 
 
 def test_saturated_part_of_the_template_stays_visible_in_other_light():

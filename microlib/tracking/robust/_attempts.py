@@ -36,9 +36,9 @@ def search_nearby(search: Search, before: Sequence[Candidate]) -> Candidate | No
     template leave may be that of a part that resembles it. It is left to the search far away.
     """
     settings = search.template.settings
-    matches = [] if search.seen else search.match_poses()
-    unique = [pose for pose in matches if search.uniqueness(pose) > settings.min_uniqueness]
-    starts = [search.pose, *unique]
+    starts = [search.pose, *(search.pose @ period for period in search.template.periods)]
+    if not search.seen:
+        starts += [pose for pose in search.match_poses() if not search.ambiguous(pose)]
     # A match is a pixel of the coarsest level, too far off for fine texture to agree.
     starts = [search.pose, *search.align_starts(starts)]
     starts += [] if search.flow_pose is None else [search.flow_pose]
@@ -74,11 +74,10 @@ def find_template(search: Search, attempts: Sequence[Attempt]) -> Candidate:
         candidate = attempt(search, candidates)
         if candidate is None:
             continue
-        unique = search.uniqueness(candidate.fit.pose) if candidate.confidence else 1.0
-        probability = candidate.confidence * unique
-        if probability >= threshold:
-            return replace(candidate, confidence=probability, reason="")
-        reason = "ambiguous" if unique < threshold else candidate.reason
-        candidates.append(replace(candidate, confidence=probability, reason=reason))
+        if candidate.confidence >= threshold:
+            if not search.ambiguous(candidate.fit.pose):
+                return replace(candidate, reason="")
+            candidate = replace(candidate, confidence=0.0, reason="ambiguous")
+        candidates.append(candidate)
     candidates = candidates or [align_from_pose(search, [])]
     return max(reversed(candidates), key=lambda candidate: candidate.confidence)

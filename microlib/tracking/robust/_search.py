@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._geometry import TINY, translate
+from microlib.tracking._geometry import TINY
 from microlib.tracking._sampling import SearchFrame
 from microlib.tracking.robust._covariance import largest_sigma
 from microlib.tracking.robust._decision import (
@@ -34,42 +34,14 @@ class Sighting:
 
     Attributes
     ----------
-    template : SearchTemplate
-        The template.
     image : ndarray, shape (H, W)
-        The whole frame, its grey levels scaled as those of the template.
+        The whole frame, or its part that is searched; its grey levels scaled as the template's.
     pose : ndarray, shape (3, 3)
-        Where the template was.
+        Where the template was, in px of the image.
     """
 
-    template: SearchTemplate
     image: Image
     pose: Array
-
-    @cached_property
-    def lookalikes(self) -> Array:
-        """Where else the frame shows the template, as offsets from its place, k×2 (x, y) in px.
-
-        Only the nearest places are tested: all blocks of the template must agree there.
-        """
-        template, settings = self.template, self.template.settings
-        layer = SearchFrame(self.image, 0.0).layer(template.fine.halvings)
-        peaks = ncc_peaks(template.fine, layer, self.pose, apart=2, least=settings.lookalike_ncc)
-        starts = self._elsewhere([template.displacement(self.pose, peak) for peak in peaks])
-        fits = [
-            template.plain.align(self.image, translate(self.pose, offset))
-            for offset in starts[: settings.max_matches]
-        ]
-        equal = [fit for fit in fits if blocks_agree(template, fit, settings.changed_ground)]
-        places = self._elsewhere([template.displacement(self.pose, fit.pose) for fit in equal])
-        return np.array(places).reshape(-1, 2)
-
-    def _elsewhere(self, offsets: list[Array]) -> list[Array]:
-        """Return the offsets that are not that of the template itself, the nearest first."""
-        least = self.template.settings.apart
-        return sorted(
-            (off for off in offsets if np.hypot(*off) > least), key=lambda off: np.hypot(*off)
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,36 +58,49 @@ class Search:
         Expected pose, in px of the frame.
     seen : bool
         Whether the template was found in the frame before.
-    first_lookalikes : ndarray, shape (k, 2)
-        Where else the first frame shows the template, as offsets from its place, px.
     last : Sighting
-        The last frame in which the template was found.
+        The same part of the last frame in which the template was found.
     """
 
     template: SearchTemplate
     frame: SearchFrame
     pose: Array
     seen: bool
-    first_lookalikes: Array
     last: Sighting
 
-    def uniqueness(self, pose: Array) -> float:
-        """Return the probability that a pose is not that of a lookalike.
+    def ambiguous(self, pose: Array) -> bool:
+        """Return whether a pose may be that of something that looks like the template.
 
-        The result is b/(a + b). Here, a is the distance of this pose from the expected one, and b
-        is the distance by which the nearest lookalike would have moved to reach this pose. A motion
-        by less than a quarter of the template meets only lookalikes that its first frame shows.
-        These repeat on all sides in a periodic texture, so that the result is 1 − a/b.
+        That may be a part of a periodic texture, or what was at a distant pose in the last frame.
         """
-        template = self.template
-        offset = template.displacement(self.pose, pose)
-        near = self.seen and np.hypot(*offset) < template.settings.near * template.side
-        lookalikes = self.first_lookalikes if near else self.last.lookalikes
-        if not len(lookalikes):
-            return 1.0
-        nearest = np.linalg.norm(lookalikes - offset, axis=1).min()
-        ratio = float(np.hypot(*offset) / max(nearest, TINY))
-        return max(0.0, 1 - ratio) if near else 1 / (1 + ratio)
+        template, settings = self.template, self.template.settings
+        if template.periods and self._between_periods(pose):
+            return True
+        if np.hypot(*template.displacement(self.pose, pose)) < settings.near * template.side:
+            return False
+        before = template.plain.align(self.last.image, pose)
+        agrees = blocks_agree(template, before, settings.changed_ground)
+        return agrees and template.apart(before.pose, self.last.pose)
+
+    def _between_periods(self, pose: Array) -> bool:
+        """Return whether a pose may be wrong by a period of the texture.
+
+        The surroundings of the template decide. If they agree with both poses, a pose that is more
+        than 0.4 of the period away from the expected one may be wrong.
+        """
+        template, settings = self.template, self.template.settings
+        poses = [pose, *(pose @ period for period in template.periods)]
+        blocks = [template.blocks(template.surroundings, self.frame, each) for each in poses]
+        distances = [np.hypot(*template.displacement(self.pose, each)) for each in poses]
+        share = settings.max_period_share / (1 - settings.max_period_share)
+        here, score = blocks[0], blocks[0].score()
+        for there, distance in zip(blocks[1:], distances[1:], strict=True):
+            if here.excess_in(there) > settings.other_period * score:
+                return True
+            undecided = there.excess_in(here) < settings.undecided * score
+            if undecided and distances[0] > share * distance:
+                return True
+        return False
 
     @cached_property
     def flow_pose(self) -> Array | None:

@@ -13,9 +13,9 @@ from microlib.tracking._esm import Level, Template, make_level
 from microlib.tracking._geometry import cut_around, translate
 from microlib.tracking._sampling import SearchFrame, half_pixel
 from microlib.tracking._settings import TrackerSettings
-from microlib.tracking.robust._blocks import compare
+from microlib.tracking.robust._blocks import Blocks, compare
 from microlib.tracking.robust._photometric import PhotometricFit, PhotometricLevel, make_photometric
-from microlib.tracking.robust._starts import PointFlow
+from microlib.tracking.robust._starts import PointFlow, ncc_peaks
 
 #: Margin (px) around the template in which it is aligned at half pixels.
 _MARGIN = 8.0
@@ -43,6 +43,11 @@ class SearchTemplate:
         Standard deviation of the noise of the first frame.
     shape : tuple of int
         Height and width of the box, px.
+    surroundings : Level
+        The first frame in a box that is three times as large, as fine as the search.
+    periods : tuple of ndarray, shape (3, 3)
+        Warps of the normalized coordinates that map the template to other places of the first frame
+        that resemble it, in whole or in part: the nearest ones.
     """
 
     settings: TrackerSettings
@@ -53,6 +58,8 @@ class SearchTemplate:
     points: PointFlow
     noise: float
     shape: tuple[int, int]
+    surroundings: Level
+    periods: tuple[Array, ...] = ()
 
     @property
     def side(self) -> int:
@@ -87,10 +94,13 @@ class SearchTemplate:
 
     def score(self, frame: SearchFrame, pose: Array, blur: int = 0) -> float:
         """Return the score of a pose from the blocks of the template in one of its blurs."""
-        level = self.blurred[blur]
+        return self.blocks(self.blurred[blur], frame, pose).score()
+
+    def blocks(self, level: Level, frame: SearchFrame, pose: Array) -> Blocks:
+        """Return the blocks of a level beside those of a frame under a pose."""
         grey, _, weight = level.patch(frame.layer(level.halvings), pose, frame.saturation)
         noise = frame.noise * level.noise_gain
-        return compare(grey, level.grey, weight, noise, self.settings).score()
+        return compare(grey, level.grey, weight, noise, self.settings)
 
     def align_photometric(
         self, frame: SearchFrame, pose: Array, blur: int = 0
@@ -141,7 +151,10 @@ def make_search_template(
             for each in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
         )
         photometric.append(make_photometric(sharp, more_blurred))
-    return SearchTemplate(
+    rows, columns = frame.image.shape
+    x, y = np.maximum(np.subtract(box[:2], box[2:]), 0).tolist()
+    right, bottom = min(box[0] + 2 * width, columns), min(box[1] + 2 * height, rows)
+    template = SearchTemplate(
         settings=settings,
         plain=plain,
         coarse=cut(frame.layer(coarsest), halvings=coarsest, smoothing=smoothing),
@@ -150,4 +163,33 @@ def make_search_template(
         points=PointFlow(blurred[0], layer, pose, max(width, height) >> finest),
         noise=frame.noise,
         shape=(height, width),
+        surroundings=make_level(
+            layer,
+            (x, y, right - x, bottom - y),
+            pose,
+            halvings=finest,
+            smoothing=smoothing,
+            motion=motion,
+            settings=settings,
+            mask=mask,
+        ),
     )
+    return replace(template, periods=_periods(template, frame, pose))
+
+
+def _periods(template: SearchTemplate, frame: SearchFrame, pose: Array) -> tuple[Array, ...]:
+    """Return the shortest warps of a template to places of its frame that resemble it."""
+    settings, level = template.settings, template.fine
+    layer, least = frame.layer(level.halvings), settings.apart
+    peaks = ncc_peaks(level, layer, pose, apart=2, least=settings.period_ncc)
+    peaks = [peak for peak in peaks if np.hypot(*template.displacement(pose, peak)) > least]
+    peaks = sorted(peaks, key=lambda peak: np.hypot(*template.displacement(pose, peak)))
+    own = template.score(frame, pose)
+    periods = []
+    for peak in peaks[: settings.max_periods]:
+        fit = level.align(layer, peak, tolerance=settings.tolerance)
+        step = template.displacement(pose, fit.pose)
+        shifted = translate(pose, step)
+        if np.hypot(*step) > least and template.score(frame, shifted) > settings.period_share * own:
+            periods.append(np.linalg.inv(pose) @ shifted)
+    return tuple(periods)
