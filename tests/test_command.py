@@ -445,6 +445,7 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     measured = dimple_from_outline(x, y, pixel_size=3.875)
     title = figures[0].axes[0].get_title()
     points = {"outline": (x, y - y.min()), "bottom": measured.left.bottom}
+    every = []
     for rim, prefix in (("left", ""), ("right", "right_")):
         dimple = getattr(measured, rim)
         values = {"force": 10.0, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
@@ -467,12 +468,24 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
         np.testing.assert_allclose(ends, np.quantile(drawn, [0.025, 0.975]), rtol=0.06)
         uncertainty = membrane.modulus_uncertainty(values, stds)
         assert found[f"{prefix}modulus_uncertainty_MPa"] == pytest.approx(uncertainty, rel=1e-4)
-        words = f"E = {Estimate(modulus, uncertainty, *ends, 'MPa')}"
+        moduli = membrane.model_moduli(**values)
+        wide = np.array([min(moduli.values()), max(moduli.values())]) / moduli.pop("point load")
+        over = found[[f"{prefix}modulus_{end}_over_models_MPa" for end in ("low", "high")]]
+        np.testing.assert_allclose(over, wide * ends, rtol=1e-6)
+        for model, other in moduli.items():
+            column = model.replace(", ", "_").replace("-", "_").replace(" ", "_")
+            assert found[f"{prefix}{column}_MPa"] == pytest.approx(other, rel=1e-4)
+        every.extend(over)
+        others = f"{min(moduli.values()):.2g} to {max(moduli.values()):.2g} MPa by 4 others"
+        words = f"{Estimate(modulus, uncertainty, *ends, 'MPa')} by (5.2), {others}"
         a, w = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in [*values][-2:])
         words = f"{rim} rim{', as in the thesis' * (rim == 'left')}: {words}\na = {a}, w_d = {w}"
         assert words in printed
         assert words in title
         points[f"{rim} rim"] = dimple.rim
+    headline = f"E = {min(every):.2g} to {max(every):.2g} MPa over all models and both rims"
+    assert [line for line in printed.splitlines() if line.startswith("E ")] == [headline]
+    assert title.splitlines()[0] == headline
     drawn = {line.get_label(): line.get_data() for line in figures[0].axes[0].lines}
     for name, at in points.items():
         np.testing.assert_allclose(np.squeeze(drawn[name]), at, rtol=1e-4)

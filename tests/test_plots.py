@@ -152,7 +152,8 @@ def test_outline_is_drawn_with_curve_and_modulus():
     sizes = {"pixel_size": 7.75, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
     found = modulus_from_image(fuzz.egg().image, 150.0, **sizes)
     (ax,) = found.plot().axes
-    title = f"modulus {found.modulus}"
+    ends = "{:.2g} to {:.2g} MPa".format(*found.model_interval)
+    title = f"E = {ends} over {len(found.model_moduli)} models,\nby (5.2) {found.modulus}"
     assert (ax.get_title(), ax.get_xlabel(), ax.get_ylabel()) == (title, "x (px)", "y, up (px)")
     outline, curve = (line.get_xydata() for line in ax.lines)
     np.testing.assert_array_equal(outline, np.transpose([found.boundary.x, found.boundary.y]))

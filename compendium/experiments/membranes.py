@@ -104,8 +104,7 @@ def readings() -> pd.DataFrame:
     curve, pixel, c = thesis.outline_curve(), thesis.EMBRYO_PIXEL, INPUTS["probe_half_width"]
     left = dimple_geometry(curve, pixel_size=pixel)
     (x0, y0), a, w_d = left.bottom, left.rim_radius, left.dimple_depth
-    beside_pit = curve.extrema()[0]
-    beside_pit = float(beside_pit[beside_pit > x0].min())
+    beside_pit = float(min(x for x in curve.extrema()[0] if x > x0))
     right_a, right_depth = right_dimple()
     rows = {
         "left-rim": (a, w_d, c),

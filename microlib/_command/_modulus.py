@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -28,7 +29,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(a: argparse.Namespace, session: Session) -> End:
-    """Young's modulus of a membrane from the outline of its dimple, as in section 5.6.
+    """Young's modulus of a membrane from the outline of its dimple, by several models.
+
+    The range over the models is the result; each model alone has an interval that covers only the
+    errors of the inputs. Which model suits which dimple: guide 07_guide_modulus.
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
     --probe-half-width 25 --poisson-ratio 0.5 -o modulus.csv
@@ -60,7 +64,12 @@ def run(a: argparse.Namespace, session: Session) -> End:
     low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
-    summary = f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
+    least, most = (f"modulus_{end}_over_models_MPa" for end in ("low", "high"))
+    ends = min(left[least], right[least]), max(left[most], right[most])
+    summary = (
+        f"E = {ends[0]:.2g} to {ends[1]:.2g} MPa over all models and both rims\n"
+        f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
+    )
     session.say(summary)
     result = left | {f"right_{name}": value for name, value in right.items()}
     lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
@@ -72,7 +81,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
     drawn = partial(outline, measured.x, measured.y, curve, points, summary)
     session.write("look.png", picture(drawn))
     session.say(
-        "The table has the modulus, its interval, and the values that it was computed from."
+        "The table has the modulus by each model, the interval of (5.2), and the values that they "
+        "were computed from."
     )
     return End()
 
@@ -101,9 +111,17 @@ def _estimate(
     }
     with suppress(ValueError):  # no uniform stress has a dimple as deep as this
         row["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
+    # Errors of the inputs change every model by nearly the same factor.
+    moduli = membrane.model_moduli(**values)
+    row["modulus_low_over_models_MPa"] = min(moduli.values()) * low / value
+    row["modulus_high_over_models_MPa"] = max(moduli.values()) * high / value
+    del moduli["point load"]
+    row |= {f"{re.sub('[^a-z]+', '_', model)}_MPa": other for model, other in moduli.items()}
     row |= values | {f"{name}_uncertainty": number for name, number in uncertainties.items()}
+    least, most = min(moduli.values(), default=np.nan), max(moduli.values(), default=np.nan)
+    others = f", {least:.2g} to {most:.2g} MPa by {len(moduli)} others" if moduli else ""
     return row, (
-        f"E = {modulus}\n"
+        f"{modulus} by (5.2){others}\n"
         f"a = {dimple.rim_radius:.1f} ± {radius:.1f} µm, "
         f"w_d = {dimple.dimple_depth:.1f} ± {depth:.1f} µm"
     )

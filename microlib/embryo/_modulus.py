@@ -6,7 +6,6 @@ point-load model. Lengths are in µm, forces in µN, moduli in MPa.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,12 +17,7 @@ from microlib._common import FlatResult, as_physical, as_poisson_ratio
 from microlib.embryo._boundary import MIN_SIDE, Boundary, extract_boundary
 from microlib.embryo._dimple import DimpleFit, fit_dimple
 from microlib.estimate import Estimate
-from microlib.membrane import (
-    capsule_modulus,
-    disc_modulus,
-    elastic_modulus,
-    modulus_uncertainty,
-)
+from microlib.membrane import elastic_modulus, model_moduli, modulus_uncertainty
 
 #: Number of standard deviations on either side of a normal 95 % interval.
 _NORMAL_95 = 1.959964
@@ -36,8 +30,8 @@ class ImageEstimate(FlatResult):
     Attributes
     ----------
     modulus : Estimate
-        Elastic modulus E, in MPa. Its uncertainty and its interval follow from the errors of the
-        outline.
+        Elastic modulus E by (5.2), in MPa. Its uncertainty and its interval follow from the errors
+        of the outline, and hold for this model only.
     force : float
         Indentation force F as given, in µN.
     dimple : DimpleFit
@@ -51,10 +45,12 @@ class ImageEstimate(FlatResult):
     -----
     The interval of `modulus` covers the noise of the outline, the distance of the outline from the
     fitted curve, and the distance of the probe's end from the fitted bottom. It does not cover the
-    errors of the given force, of the thickness or of the probe's width, nor the whole bias of a
-    model that does not suit the object. `relative_rms` measures how well the model fits the
-    outline. `model_moduli` and `model_interval` compare other models of the same dimple. They are
-    computed at the first access, which takes half a second.
+    errors of the given force, of the thickness or of the probe's width, nor the bias of the model:
+    a clamped disc, whose stress is not uniform, has 0.4 to 1.0 of the modulus of (5.2), depending
+    on the pressure, the depth and the law. `model_moduli` and `model_interval` compare the models,
+    and `repr` states the range over them. They are computed at the first access, which takes half
+    a second. `relative_rms` measures how well the profile (4.2) fits the outline. The :ref:`table
+    of models <which-model>` says which model suits which dimple.
     """
 
     modulus: Estimate
@@ -64,7 +60,13 @@ class ImageEstimate(FlatResult):
     given: dict[str, Any]
 
     def __repr__(self) -> str:
-        return f"ImageEstimate(modulus {self.modulus}, rms {self.relative_rms:.1%} of the depth)"
+        return f"ImageEstimate({self._headline}, rms {self.relative_rms:.1%} of the depth)"
+
+    @property
+    def _headline(self) -> str:
+        low, high = self.model_interval
+        models = f"{len(self.model_moduli)} models"
+        return f"E = {low:.2g} to {high:.2g} MPa over {models}, by (5.2) {self.modulus}"
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the outline and the fitted dimple with Matplotlib.
@@ -80,7 +82,7 @@ class ImageEstimate(FlatResult):
         """
         from microlib._plots import outline
 
-        title = f"modulus {self.modulus}"
+        title = self._headline.replace(", by", ",\nby")
         return outline(self.boundary.x, self.boundary.y, self.dimple.curve, {}, title, ax)
 
     @property
@@ -94,30 +96,13 @@ class ImageEstimate(FlatResult):
     def model_moduli(self) -> dict[str, float]:
         """Modulus of this dimple by each model that can have it, in MPa, by the name of the model.
 
-        The models are the point load (5.2), which is (4.7) solved for E, a flat disc with and
-        without the pressure F/(π a²), and a closed capsule. Discs and capsules have a
-        neo-Hookean and a Hookean law. The capsule has the radius of the outline if both of its ends
-        are steep, and it is omitted otherwise. The modulus of (5.2) may be four times that of the
-        capsule, or more (benchmarks/capsule_embryo.py).
+        The models are those of `microlib.membrane.model_moduli`. The capsule has the radius of the
+        outline if both of its ends are steep, and it is omitted otherwise. The modulus of (5.2) may
+        be four times that of the capsule, or more (benchmarks/capsule_embryo.py).
         """
-        lengths = {name: self.given[name] for name in ("thickness", "probe_half_width")}
-        nu = self.given["poisson_ratio"]
-        dimple = (self.dimple.rim_radius, self.dimple.dimple_depth)
         radius = _egg_radius(self.boundary, self.dimple.pixel_size)
-        moduli = {"point load": self.modulus.value}
-        for law, ratio in (("neo-hooke", 0.5), ("hooke", nu)):
-            settings: dict[str, Any] = {"law": law, "poisson_ratio": ratio, **lengths}
-            for suffix, pressure in (("", "balance"), (", no pressure", 0.0)):
-                with suppress(ValueError):  # no such disc has this dimple
-                    modulus = disc_modulus(self.force, *dimple, pressure=pressure, **settings)
-                    moduli[f"disc, {law}{suffix}"] = modulus
-            if radius is not None:
-                with suppress(ValueError):  # no such capsule has this dimple
-                    capsule = capsule_modulus(
-                        self.force, *dimple, capsule_radius=radius, **settings
-                    )
-                    moduli[f"capsule, {law}"] = capsule.modulus
-        return moduli
+        dimple = (self.dimple.rim_radius, self.dimple.dimple_depth)
+        return model_moduli(self.force, *dimple, **self.given, capsule_radius=radius)
 
     @property
     def model_interval(self) -> tuple[float, float]:

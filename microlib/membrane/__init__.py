@@ -4,6 +4,10 @@ The top level of this package is the method of the thesis: the point-load model 
 (5.2), its correction for finite slopes, and its uncertainty. The sub-package `large` goes beyond
 the thesis: it solves discs and capsules at any depth.
 
+The point load assumes a uniform stress, which no clamped membrane has. `model_moduli` computes the
+modulus of one dimple by all models. The :ref:`table of models <which-model>` says which of them
+suits which dimple.
+
 The table says which function is for which membrane. Its last column gives the difference of the
 modulus of (5.2), `elastic_modulus`, from the modulus of that function, measured at c/a = 0.1 and
 ν = 0.5. w_d/a is the relative depth of the dimple.
@@ -30,7 +34,7 @@ radius                                                            h = 3 µm, inf
 A depth at which a model has no equilibrium raises a `ValueError` in every function. The formulas of
 the thesis have a value at every depth, and warn with a `SmallSlopeWarning` where w_d/a exceeds 0.1.
 `elastic_modulus`, `finite_slope_modulus`, and `disc_modulus` without pretension reject a depth
-below the thickness, where bending carries most of the force. No clamped disc has a uniform stress.
+below the thickness, where bending carries most of the force.
 `modulus_uncertainty` and `modulus_samples` compute the error of (5.2) that follows from the errors
 of its inputs.
 """
@@ -48,6 +52,7 @@ from microlib.membrane._point_load import (
 from microlib.membrane._uncertainty import modulus_samples, modulus_uncertainty
 from microlib.membrane.large._capsule import CapsuleModulus, capsule_modulus, indent_capsule
 from microlib.membrane.large._disc import disc_modulus, indent_disc
+from microlib.membrane.large._models import model_moduli
 from microlib.membrane.large._solver import MembraneState
 
 __all__ = [
@@ -65,6 +70,7 @@ __all__ = [
     "indentation_force",
     "mean_strain",
     "membrane_stress",
+    "model_moduli",
     "modulus_samples",
     "modulus_uncertainty",
     "steepest_depth",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microlib.membrane import indent_disc
+from microlib.membrane import capsule_modulus, elastic_modulus, indent_disc, model_moduli
 from tests.laws import (
     NUMBER,
     MPa,
@@ -49,6 +49,9 @@ def geometry(u) -> dict:
 
 
 EXPONENTS = dict.fromkeys(("rim_radius", "depth", "probe_half_width", "capsule_radius"), NUMBER)
+KINDS = ("disc, {}", "disc, {}, no pressure", "capsule, {}")
+NAMES = [kind.format(law) for law in ("neo-hooke", "hooke") for kind in KINDS]
+MODELS = dict.fromkeys(["point load", *NAMES], MPa)
 LAWS = {
     "membrane.elastic_modulus": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
         MPa),
@@ -73,6 +76,8 @@ LAWS = {
         "rim_inset": 0.02}, STATE, within=1e-6),
     "membrane.disc_modulus": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": A * u.um,
         "depth": 50.0 * u.um, **wall(u), **STEEL, "pressure": 3e-4 * u.MPa}, MPa, within=1e-6),
+    "membrane.model_moduli": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
+        "dimple_depth": 70.0 * u.um, **film(u), "capsule_radius": R * u.um}, MODELS, within=1e-6),
     "membrane.indent_capsule": Row(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
         "capsule_radius": R * u.um, **wall(u), **RUBBER, "inflation": 1.04}, STATE, within=1e-6),
     "membrane.capsule_modulus": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
@@ -105,3 +110,22 @@ def test_flat_disc_with_rim_inset_matches_lame_solution(pretension, inset):
     e1, e2 = strains(x)
     stress = modulus * np.array([e1 + nu * e2, e2 + nu * e1]) / (1 - nu**2)
     np.testing.assert_allclose(state.stresses, stress, rtol=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
+def test_models_differ_for_shallow_dimples_too():
+    """A disc has its true stress; (5.2) a uniform one. The deep dimple is that of Table 5.6."""
+    sizes = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+    shallow = model_moduli(1.0, 246.95, 8.0, **sizes)
+    assert shallow["disc, hooke"] == pytest.approx(0.402 * shallow["point load"], rel=3e-3)
+    assert shallow["disc, hooke, no pressure"] == pytest.approx(
+        0.667 * shallow["point load"], rel=3e-3
+    )
+    deep = model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=600.0)
+    by_hand = capsule_modulus(197.24, 246.95, 121.22, **sizes, capsule_radius=600.0)
+    assert deep["point load"] == elastic_modulus(197.24, 246.95, 121.22, **sizes)
+    assert deep["capsule, neo-hooke"] == pytest.approx(by_hand.modulus)
+    # No capsule of this radius has the dimple, and a probe as wide as the dimple is an error.
+    assert set(model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=250.0)) == {
+        name for name in ("point load", *NAMES) if not name.startswith("capsule")
+    }

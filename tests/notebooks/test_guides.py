@@ -44,7 +44,7 @@ LEAVES = {
         *(f"{name}.ome.tif" for name in ("height", "uncertainty", "frame", "all_in_focus")),
         *("surface.ply", "regions.csv", "look.png"),
     },
-    "modulus": {"modulus.csv", "inputs.csv", "dimple.png"},
+    "modulus": {"modulus.csv", "models.csv", "inputs.csv", "dimple.png"},
     "tracking": {"track.csv", "look.png"},
     "servoing": {"log.csv", "jacobian.csv", "run.png"},
 }
@@ -225,10 +225,17 @@ def test_modulus_guide_accepts_numbers_and_reports_steep_dimple(tmp_path, monkey
     """Table 5.6, whose modulus is 1.3237 MPa from unrounded lengths."""
     monkeypatch.chdir(tmp_path)
     numbers = {"rim_radius": 246.95, "dimple_depth": 121.22, "force": 197.24}
-    run_here("modulus", **numbers, thickness=3.0, probe_half_width=25.0)
+    sizes = {"thickness": 3.0, "probe_half_width": 25.0, "capsule_radius": 600.0}
+    run_here("modulus", **numbers, **sizes)
     found = pd.read_csv(tmp_path / "kept" / "modulus.csv", index_col="quantity")["value"]
     assert found["modulus_MPa"] == pytest.approx(1.3237, abs=2e-4)
-    assert "The dimple is too steep for the model" in capsys.readouterr().out
+    # Independent solutions of the disc: 0.549 of (5.2) for Hooke's law, 1.028 for neo-Hooke's over
+    # an open hole; the capsule of 600 µm lies between.
+    printed = capsys.readouterr().out
+    assert "E = 0.727 to 1.36 MPa over 7 models" in printed
+    assert "(5.2) serves for comparisons only" in printed
+    models = pd.read_csv(tmp_path / "kept" / "models.csv", index_col="model")["modulus_MPa"]
+    assert models["capsule, hooke"] == pytest.approx(0.88, abs=0.005)
 
 
 def test_modulus_without_standard_deviations_has_no_interval(tmp_path, monkeypatch, capsys):
