@@ -52,6 +52,24 @@ def profile_from_the_balance(sign: int) -> bool:
     return bool(sp.simplify(sp.expand_log(profile - printed, force=True)) == 0)
 
 
+def depth_at_the_probe(depth: float) -> bool:
+    """The printed curve is this deep (µm) at r = c from its lowest point, below its left rim."""
+    curve = thesis.outline_curve()
+    x = np.linspace(125.0, 200.0, 750_001)
+    y, c = curve(x), thesis.MEMBRANE["probe_half_width"] / thesis.EMBRYO_PIXEL
+    bottom = x[x > 150][y[x > 150].argmin()]
+    at_edge = thesis.EMBRYO_PIXEL * float(y.max() - curve(bottom - c))
+    modulus = thesis.modulus(printed("table-5.6/a"), at_edge)
+    return abs(at_edge - depth) < 0.05 and abs(modulus - 3.03) < 0.03
+
+
+def denominator_of_strain(divisor: float) -> bool:
+    """The integral of r from c to a is the area of the annulus over this number."""
+    r, a, c = sp.symbols("r a c", positive=True)
+    area = sp.pi * (a**2 - c**2)
+    return bool(sp.simplify(sp.integrate(r, (r, c, a)) - area / sp.nsimplify(divisor)) == 0)
+
+
 def row_of_alignment(row: tuple[str, ...]) -> bool:
     """The row times the unknowns of (2.15) is u, where (2.14) holds."""
     u, v, x, y, tx, ty = sp.symbols("u v X_w Y_w T_x T_y")
@@ -177,6 +195,12 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "table-5.6-zeta": (probe_gives_the_modulus, ("44.78", 44.78), ("ζ = 0.1012", 0.1012)),
     "section-5.6-maxima": (count_of_maxima, ("two local maximum", 2), ("three", 3)),
     "section-4.1-sign": (profile_from_the_balance, ("dw/dr ≈ sin θ", 1), ("sin θ ≈ −dw/dr", -1)),
+    "section-5.6-depth": (depth_at_the_probe, ("121.22 µm", 121.22), ("91.8 µm", 91.8)),
+    "equation-4.5": (
+        denominator_of_strain,
+        ("denominator is the area", 1),
+        ("divided by 2π", 2 * sp.pi),
+    ),
     "equation-2.15": (
         row_of_alignment,
         ("[uX_w, vY_w, v, −uX_w, vY_w]", ROW_PRINTED),
