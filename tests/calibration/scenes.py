@@ -124,35 +124,56 @@ def chessboard(columns=8, rows=6, *, sharpening=0.0, shape=SHAPE, **change):
     return np.clip(image, 0, 255), corners, seen
 
 
-def scale(
-    seed: int = 0,
+def ruled(
+    places: np.ndarray,
+    lengths: np.ndarray | float = 30.0,
+    width: float = 3.0,
     *,
-    spacing: float = 12.3,
     angle: float = 0.2,
-    lines: int = 17,
-    width: float = 0.25,
-    length: float = 30.0,
+    k1: float = 0.0,
+    tilt: float = 0.0,
     blur: float = 1.2,
     noise: float = 2.0,
     ink: float = 60.0,
     paper: float = 190.0,
-    numerals: bool = True,
+    seed: int = 0,
+    numerals: bool = False,
+    shape: tuple[int, int] = SHAPE,
 ) -> np.ndarray:
-    """A ruler whose every tenth line is longer and has a numeral."""
-    middle = np.array(SHAPE[::-1]) / 2 + np.random.default_rng(seed).uniform(-3, 3, 2)
+    """Lines across a direction, at places from the image's middle and from a base line on, px.
+
+    Every tenth line may have a numeral. The distortion and the tilt are relative at the side of
+    the image.
+    """
+    half = np.array(shape[::-1]) / 2
+    middle = half + np.random.default_rng(seed).uniform(-3, 3, 2)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    number = np.arange(lines)
-    size = np.column_stack([0 * number + width * spacing, length * (1 + (number % 10 == 0))])
-    start = np.column_stack([(number - (lines - 1) / 2) * spacing, size[:, 1] / 2])
-    corners = start[:, None] + outline("square", 1.0)[::16] * size[:, None]
-    image = paper + (ink - paper) * covering(corners @ turn + middle, SHAPE)
-    written = np.zeros(SHAPE, np.uint8)
-    for ten in number[::10] if numerals else ():
-        place = np.array([start[ten, 0], 2 * length + 18]) @ turn + middle
+
+    def seen(points):
+        points = points / (1 + tilt * points[..., :1] / half[0]) / half[0]
+        return half[0] * points * (1 + k1 * (points**2).sum(axis=-1, keepdims=True)) @ turn + middle
+
+    size = np.column_stack(np.broadcast_arrays(width, lengths, places))[:, :2]
+    corners = np.column_stack([places, size[:, 1] / 2])[:, None]
+    corners = seen(corners + outline("square", 1.0) * size[:, None])
+    image = paper + (ink - paper) * np.minimum(covering(corners, shape), 1)
+    written = np.zeros(shape, np.uint8)
+    for ten in range(0, len(places), 10) if numerals else ():
+        place = seen(np.array([places[ten], size[:, 1].max() + 18]))
         font = cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1
         cv2.putText(written, str(ten // 10), place.astype(int).tolist(), *font)
     image[written > 0] = ink
     return photograph(image, blur, noise, seed)
+
+
+def scale(
+    seed: int = 0, *, spacing=12.3, lines=17, width=0.25, length=30.0, numerals=True, **change
+) -> np.ndarray:
+    """A ruler whose every tenth line is longer and has a numeral."""
+    number = np.arange(lines)
+    places = (number - (lines - 1) / 2) * spacing
+    lengths = length * (1 + (number % 10 == 0))
+    return ruled(places, lengths, width * spacing, numerals=numerals, seed=seed, **change)
 
 
 #: A photograph of each pattern, one of them bright on dark.

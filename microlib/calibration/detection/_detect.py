@@ -224,7 +224,8 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     ----------
     image : array_like, shape (height, width) or (height, width, 3 or 4)
         Grey levels of any range, or red, green and blue. The lines may be darker or brighter than
-        their background, have any direction, and differ in length.
+        their background, have any direction, and differ in length. Parts of the scale may have only
+        every fifth or tenth line.
 
     Returns
     -------
@@ -233,16 +234,17 @@ def detect_micrometer(image: ArrayLike) -> Micrometer:
     Raises
     ------
     ValueError
-        If `image` is no image, or shows no scale of at least five equidistant lines away from its
-        edges.
+        If `image` is no image, or shows no scale of at least three equidistant lines away from its
+        edges, or their distance is uncertain by more than 10 %.
 
     Notes
     -----
     The direction is that of the sharpest mean profile of the image. The lines are the peaks of the
     profile of the rows with the most contrast, and each line is at the centroid of its peak. Lines
-    less than two fifths of a division from an edge of the image are left out, as the edge moves
-    their centroids. The spacing is the slope of a straight line through these positions over whole
-    numbers.
+    at an edge of the image are left out, as the edge moves their centroids. The spacing is the
+    slope of a straight line through these positions over whole numbers. A cubic that fits them
+    significantly better shows distortion or a tilt, and widens the interval. A grid of lines is
+    measured across the clearer of its directions.
 
     Examples
     --------

@@ -27,7 +27,8 @@ class Micrometer(Result):
     residuals : ndarray, shape (N,)
         Position of each line minus that of equal divisions, px.
     spacing : Estimate
-        Distance of neighboring lines, px, with the uncertainty by the residuals.
+        Distance of neighboring lines, px. Its uncertainty contains errors of the lines and the
+        change of the distance over the image.
     angle : float
         Direction across the lines, measured from the x axis of the image towards y, rad.
     """
@@ -41,14 +42,14 @@ class Micrometer(Result):
     def um_per_pixel(self, division: float) -> Estimate:
         """Return the size of a pixel in the object plane, µm/px.
 
-        It is the mean along the scale. The interval does not contain changes of the size over the
-        image by distortion or a tilted scale. `residuals` that change smoothly from line to line
-        are a sign of them.
+        It is the mean along the scale. The interval also contains the change of the size over the
+        image by distortion or a tilted scale, if the lines show it, and errors of single lines. It
+        does not contain an error of the length of the whole scale, nor a pixel that is not square.
 
         Parameters
         ----------
         division : float
-            Distance of neighboring lines of the scale, µm.
+            Distance of the closest neighboring lines that the image shows, µm.
 
         Returns
         -------
@@ -72,86 +73,151 @@ def find_scale(grey: NDArray[np.float32], settings: DetectionSettings) -> Microm
     angle = _direction(grey, settings)
     upright, matrix = _turned(grey, angle)
     rows, dark, within = _profile(upright)
-    places, spacing = _lines(dark, within, settings)
-    places = _centers(dark, places, settings.line_reach * spacing)
-    steps = np.round(np.diff(places) / spacing).astype(np.intp)
-    divisions = np.concatenate([[0], np.cumsum(steps)])
+    places, divisions = _lines(dark, within, settings)
     spacing, first = np.polyfit(divisions, places, 1).tolist()
-    residuals = places - first - spacing * divisions
-    rms = np.sqrt((residuals**2).sum() / (len(places) - 2))
-    deviation = rms / spacing
-    if spacing < 4 or deviation > settings.max_line_residual:  # closer lines merge
-        raise _no_scale(f"lines {spacing:.3g} px apart that are {deviation:.2g} divisions off")
     begin, end = np.clip(places[[0, -1]] + [-spacing, spacing], 0, None).astype(int)
     top, bottom = np.flatnonzero(rows)[[0, -1]]
     common = _row_correlation(upright[top : bottom + 1, begin:end])
     if common < settings.min_correlation:
         raise _no_scale(f"interrupted ones, with a correlation of rows of {common:.2f}")
-    uncertainty = float(rms / np.sqrt(((divisions - divisions.mean()) ** 2).sum()))
-    half_width = uncertainty * student_quantile(len(places) - 2)
+    estimate = _spacing(divisions, places)
+    if estimate.high - estimate.low > spacing / 5:  # of a photograph of something else, or of wear
+        raise _no_scale(f"uneven lines, whose distance of {spacing:.3g} px is uncertain by 10 %")
     upright_points = np.column_stack([places, np.full(len(places), np.flatnonzero(rows).mean())])
-    points = (upright_points - matrix[:, 2]) @ matrix[:, :2]
     return Micrometer(
-        points=points,
+        points=(upright_points - matrix[:, 2]) @ matrix[:, :2],
         divisions=divisions,
-        residuals=residuals,
-        spacing=Estimate(spacing, uncertainty, spacing - half_width, spacing + half_width, "px"),
+        residuals=places - first - spacing * divisions,
+        spacing=estimate,
         angle=angle,
     )
+
+
+def _spacing(divisions: NDArray[np.intp], places: Array) -> Estimate:
+    """Mean distance of neighboring lines, px, with the uncertainty by noise and by its change."""
+    from scipy.stats import f as fisher  # here, as it takes long to import
+
+    count, change = len(places), 0.0
+    line, curve, freedom = _smooth_curve(divisions, places)
+    errors, smaller = (places - fit(divisions) for fit in (line, curve))
+    straight, noise, more = errors @ errors, smaller @ smaller, count - 2 - freedom
+    # A curve that fits the lines better than chance in one of 100 images is distortion, a tilt or
+    # an error of the ruling. The distance of the lines then differs from place to place.
+    if more and straight - noise > fisher.ppf(0.99, more, freedom) * more / freedom * noise:
+        change, errors = float(np.std(curve.deriv()(divisions))), smaller
+    else:
+        freedom, noise = count - 2, straight
+    variance = noise / freedom / np.sum((divisions - divisions.mean()) ** 2)
+    # The ratio of Durbin and Watson is 2 for independent errors. If errors add up from line to
+    # line, the distances are independent instead.
+    if np.sum(np.diff(errors) ** 2) < errors @ errors:
+        steps = np.diff(divisions)
+        variance = max(variance, np.var(np.diff(errors) / np.sqrt(steps)) / np.sum(steps))
+    uncertainty = float(np.hypot(np.sqrt(variance), change))
+    spacing = float(line.deriv()(0.0))
+    half_width = uncertainty * student_quantile(freedom)
+    return Estimate(spacing, uncertainty, spacing - half_width, spacing + half_width, "px")
+
+
+def _smooth_curve(
+    divisions: NDArray[np.intp], places: Array
+) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial, int]:
+    """Straight line and cubic through lines, of less than seven a parabola, of less than five a
+    straight line, and the number of lines more than its coefficients."""
+    degree = min(3, (len(places) - 1) // 2)
+    line, curve = (np.polynomial.Polynomial.fit(divisions, places, n) for n in (1, degree))
+    return line, curve, len(places) - degree - 1
 
 
 def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tuple[int, int]]:
     """The rows that cross the lines, the darkness of their mean profile, and the first and the last
     column in which most of these rows lie in the image.
 
-    The darkness is from 0 to 1 between the envelopes of the profile, which follow uneven light.
+    The darkness is from 0 to about 1, because it follows uneven light.
     """
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+    from scipy.ndimage import grey_closing, grey_opening, maximum_filter1d, uniform_filter1d
 
     change = _mean(np.abs(cv2.Sobel(upright, cv2.CV_32F, 1, 0)).T)
     # In a long strip that is turned by 45°, most of every row lies outside the image.
     known = change[np.isfinite(change)]
-    rows = change >= (known.min() + known.max()) / 2 if len(known) else np.isfinite(change)
+    # Rows that cross only every second line, which is longer than the others, have half the change.
+    rows = change >= known.min() + 0.7 * np.ptp(known) if len(known) else np.isfinite(change)
     profile = _mean(upright[rows])
     columns = np.flatnonzero(np.isfinite(profile))
     if not len(columns):
         raise _no_scale("no row of pixels that crosses the lines and lies mostly in the image")
-    profile = np.where(np.isfinite(profile), profile, np.nanmedian(profile))
-    size = len(profile) // 4
-    low, high = (
-        uniform_filter1d(envelope(profile, size), size)
-        for envelope in (minimum_filter1d, maximum_filter1d)
+    first, last = int(columns[0]), int(columns[-1])
+    known = np.interp(np.arange(first, last + 1), columns, profile[columns])
+    size = len(known) // 4
+    # A closing removes dark lines and an opening bright ones. Lines cover less than half. The
+    # profile goes on beyond its ends as the light does there.
+    longer = np.pad(known, size, mode="reflect", reflect_type="odd")
+    dark, bright = (
+        sign * (uniform_filter1d(envelope(longer, size), size)[size : size + len(known)] - known)
+        for sign, envelope in ((1, grey_closing), (-1, grey_opening))
     )
-    evened = (profile - low) / np.maximum(high - low, np.ptp(profile) / 10 + np.finfo(float).tiny)
-    dark = evened if evened.mean() < 1 / 2 else 1 - evened  # lines cover less than half
-    return rows, dark, (int(columns[0]), int(columns[-1]))
+    lines = max(dark, bright, key=lambda each: each.max() - 2 * each.mean())
+    height = uniform_filter1d(maximum_filter1d(lines, 2 * size), size)
+    height = np.maximum(height, lines.max() / 10 + np.finfo(float).tiny)
+    return rows, np.pad(lines / height, (first, len(profile) - 1 - last)), (first, last)
 
 
 def _lines(
     dark: Array, within: tuple[int, int], settings: DetectionSettings
-) -> tuple[Array, float]:
-    """Peaks of a profile that are equidistant with few exceptions, and their distance, px.
+) -> tuple[Array, NDArray[np.intp]]:
+    """Places of the lines in a profile, px, and their numbers on a scale.
 
-    Peaks less than `line_reach` divisions from the first or the last column `within` the image are
-    left out, because the edge would move their centroids.
+    A division is the smallest distance of neighbors with which most lines are equidistant. Peaks
+    that the first or the last column `within` the image may cut are left out, because the edge
+    would move their centroids.
     """
     from scipy.signal import find_peaks  # here, as it takes long to import
 
-    prominence = settings.min_peak * np.ptp(dark)
-    places = find_peaks(dark, prominence=prominence)[0].astype(np.float64)
-    if len(places) > 1:
-        reach = settings.line_reach * np.median(np.diff(places))
-        places = places[(places - reach >= within[0]) & (places + reach <= within[1])]
-    gaps = np.diff(places)
-    steps = gaps / np.median(gaps) if len(gaps) else gaps
-    regular = (np.abs(steps - np.round(steps)) < 1 / 4) & (steps > 1 / 2) & (steps < 3)
-    ends = np.concatenate([[0], np.flatnonzero(~regular) + 1, [len(places)]])
-    longest = int(np.argmax(np.diff(ends)))
-    run = slice(ends[longest], ends[longest + 1])
-    kept = places[run]
-    if len(kept) < max(settings.min_lines, settings.min_regular * len(places)):
-        raise _no_scale(f"{len(kept)} of {len(places)} lines that lie away from the image's edges")
-    return kept, float(np.diff(kept).sum() / np.round(steps[run][: len(kept) - 1]).sum())
+    _, sides = find_peaks(dark, prominence=settings.min_peak * np.ptp(dark), width=0)
+    places = (sides["left_ips"] + sides["right_ips"]) / 2  # at half of their height
+    width = float(np.median(sides["widths"])) if len(places) else 0.0
+    gaps = np.sort(np.diff(places))
+    equal = gaps[:-1][gaps[1:] < 1.1 * gaps[:-1]]
+    fault = f"{len(places)} lines without two equal distances"
+    for spacing in dict.fromkeys(np.round(equal, 1).tolist()):
+        reach = min(settings.line_reach * spacing, 1.5 * width + 2)
+        inside = places[(places - reach >= within[0]) & (places + reach <= within[1])]
+        chosen, divisions = _numbered(inside, spacing)
+        if len(chosen) < max(settings.min_lines, settings.min_regular * len(inside)):
+            fault = f"{len(chosen)} of {len(inside)} lines that lie away from the image's edges"
+            continue
+        single = np.diff(divisions) == 1
+        if single.mean() < 1 / 2 and np.convolve(single, np.ones(4)).max() < 4:
+            fault = "groups of lines, as of a counting chamber, but not four equal distances"
+            continue
+        centers = _centers(dark, chosen, reach)
+        _, curve, freedom = _smooth_curve(divisions, centers)
+        rms = np.sqrt(np.sum((centers - curve(divisions)) ** 2) / freedom) / spacing
+        if spacing >= 4 and rms <= settings.max_line_residual:  # closer lines merge
+            return centers, divisions
+        fault = f"lines {spacing:.3g} px apart that are {rms:.2g} divisions off"
+    raise _no_scale(fault)
+
+
+def _numbered(places: Array, spacing: float) -> tuple[Array, NDArray[np.intp]]:
+    """Lines at multiples of a spacing, which may change smoothly, and their numbers from zero.
+
+    Lines are added to both sides of the first pair with this spacing.
+    """
+    pair = np.flatnonzero(np.abs(np.diff(places) - spacing) < 0.1 * spacing)
+    if not len(pair):
+        return places[:0], np.zeros(0, np.intp)
+    chosen, numbers = list(places[pair[0] : pair[0] + 2]), [0, 1]
+    for sign, others in ((1, places[pair[0] + 2 :]), (-1, places[: pair[0]][::-1])):
+        for place in others:
+            near = slice(-5, None)
+            local = (chosen[-1] - chosen[near][0]) / (numbers[-1] - numbers[near][0])
+            steps = (place - chosen[-1]) / local
+            if round(steps) * sign >= 1 and abs(steps - round(steps)) < 1 / 4:
+                chosen.append(place)
+                numbers.append(numbers[-1] + round(steps))
+        chosen, numbers = chosen[::-1], numbers[::-1]
+    return np.array(chosen), np.array(numbers) - numbers[0]
 
 
 def _centers(dark: Array, places: Array, reach: float) -> Array:
@@ -213,4 +279,7 @@ def _mean(rows: NDArray[np.float32]) -> Array:
 
 
 def _no_scale(got: str) -> ValueError:
-    return ValueError(f"image must show a scale of equidistant lines, got {got}")
+    return ValueError(
+        f"image must show a scale of equidistant lines, got {got}; crop the image to sharp lines of "
+        "one direction"
+    )

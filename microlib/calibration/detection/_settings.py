@@ -173,10 +173,10 @@ class DetectionSettings:
     line_reach : float
         Distance from a line within which its darkness is measured, in divisions.
     max_line_residual : float
-        Rms deviation of the lines of a scale, in divisions. Scales are ruled to 0.01, and other
-        stripes are rarely regular to 0.05.
+        Rms deviation of the lines of a scale from a smooth curve, in divisions. Scales are ruled to
+        0.01 to 0.05, and other stripes are rarely regular to 0.05.
     min_lines : int
-        Number of lines of a scale. Five lines leave three residuals.
+        Number of lines of a scale. Three lines leave one residual.
     min_regular : float
         Fraction of the lines of an image that lie at equal distances.
     """
@@ -238,6 +238,6 @@ class DetectionSettings:
     angle_count: int = 81
     min_peak: float = 1 / 3
     line_reach: float = 2 / 5
-    max_line_residual: float = 0.02
-    min_lines: int = 5
+    max_line_residual: float = 0.05
+    min_lines: int = 3
     min_regular: float = 3 / 4
