@@ -28,6 +28,7 @@ from microlib.embryo import dimple_from_outline
 from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
+from tests.calibration.scenes import ruled
 from tests.io.make import read_ply
 from tests.laws import unlike
 
@@ -275,6 +276,40 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
     for ax, each, image in zip(figures[0].axes, found, images, strict=False):
         np.testing.assert_allclose(np.transpose(ax.lines[0].get_data()), each.points)
         np.testing.assert_allclose(ax.images[0].get_array(), (image - 20.0) * 1.275, atol=2)
+
+
+def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
+    """Also one whose photograph shows coarser divisions than the name says, and one of nothing."""
+    gaps = {"10x": 15.7, "20x": 31.1, "40x, dry": 62.9, "63x": 15.7}
+    for name, gap in gaps.items():
+        places = gap * np.arange(np.ceil(-120 / gap), 121 / gap)
+        cv2.imwrite(str(tmp_path / f"{name}.png"), ruled(places, 60.0, gap / 5))
+    cv2.imwrite(str(tmp_path / "blank.png"), np.full((90, 120), 100, np.uint8))
+    line = f"calibrate '{tmp_path}/*.png' --marks micrometer --division 0.01mm"
+    assert status(line, tmp_path / "out", "") == 0
+    printed = capsys.readouterr()
+    assert f"left out {tmp_path}/blank.png: image must show a scale" in printed.err
+    assert re.search(r"note: 63x: its pixel size is 6.\d+ times .* other divisions\?", printed.err)
+    table = pd.read_csv(tmp_path / "out" / "objectives.csv", index_col="objective")
+    names = [name.replace(",", "_") for name in gaps]
+    assert [*table.index] == names
+    assert {*table.unit} == {"µm/px"}
+    true = 10.0 / np.array([*gaps.values()])
+    assert ((table.low < true) & (true < table.high)).all()
+    np.testing.assert_allclose(table.value, true, rtol=1e-3)
+    for name, value in zip(names, table.value, strict=True):
+        shown = re.search(rf"^{name}: (\S+) µm/px", printed.out, flags=re.M)[1]
+        assert float(shown) == pytest.approx(value, rel=1e-4)
+    assert [len(ax.lines[0].get_xdata()) for ax in figures[0].axes] == [*table.lines]
+    macro = (tmp_path / "out" / "imagej.ijm").read_text()
+    assert f"names = newArray({', '.join(map(json.dumps, names))});" in macro
+    sizes = re.search(r"sizes = newArray\((.*)\)", macro)[1].replace('"', "").split(", ")
+    np.testing.assert_allclose(np.array(sizes, float), table.value, rtol=1e-6)
+    core = pytest.importorskip("pymmcore_plus").CMMCorePlus()
+    core.loadSystemConfiguration(tmp_path / "out" / "micromanager.txt")
+    found = [core.getPixelSizeUmByID(name) for name in core.getAvailablePixelSizeConfigs()]
+    np.testing.assert_allclose(found, table.value, rtol=1e-6)
+    assert "Label: 10x" in str(core.getPixelSizeConfigData("10x"))
 
 
 @pytest.mark.parametrize(
@@ -529,6 +564,14 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ("depth focal_stack.tif", "give --spacing µm, --pixel-size µm"),
         ("calibrate circles.png", "microlib calibrate: no scale is in the file: give --pitch µm"),
         (GRID.replace("circles", "none"), "none.png: no such file"),
+        ("calibrate circles.png --marks micrometer", "give --division µm"),
+        (f"{GRID} --division 10", "--division belongs to --marks micrometer"),
+        (f"{GRID} --marks micrometer", "a micrometer needs --division, not --pitch"),
+        ("calibrate circles.png --marks micrometer --division 10", "image must show a scale of"),
+        (
+            f"calibrate circles.png {INPUTS}/circles.png --marks micrometer --division 10",
+            "names of files must differ",
+        ),
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "positions must rise or fall strictly"),

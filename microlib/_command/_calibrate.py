@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from microlib._command import _objectives
 from microlib._command._options import add_scales, resolve_scales
 from microlib._command._session import End, Session, picture, text
 from microlib._common import home_path
 
 #: Names of the files that it writes.
-FILES = ("camera.csv", "camera.json", "points.csv", "look.png")
+FILES = ("camera.csv", "camera.json", "points.csv", "look.png", *_objectives.FILES)
 #: Grey levels and the detected pattern of each photograph.
 Views = dict[Path, tuple[NDArray, Any]]
 
@@ -26,9 +27,10 @@ Views = dict[Path, tuple[NDArray, Any]]
 def add_options(parser: argparse.ArgumentParser) -> None:
     photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
-    add_scales(parser, "pitch", "pixel_pitch", "focal_length")
-    marks = ["auto", "chessboard", "charuco", "squares", "circles"]
-    parser.add_argument("--marks", choices=marks, default=marks[0], help="kind of marks")
+    add_scales(parser, "pitch", "pixel_pitch", "focal_length", "division")
+    marks = ["auto", "chessboard", "charuco", "squares", "circles", "micrometer"]
+    about = "kind of marks; micrometer: lines of a scale, a photograph for each objective"
+    parser.add_argument("--marks", choices=marks, default=marks[0], help=about)
 
 
 def run(a: argparse.Namespace, session: Session) -> End:
@@ -36,6 +38,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     Example: microlib calibrate grid.png --pitch 200 --pixel-pitch 4.8 -o camera
     """
+    if a.marks == "micrometer":
+        return _objectives.run(a, session)
+    if a.division is not None:
+        raise ValueError("--division belongs to --marks micrometer; other marks have a --pitch")
     import pandas as pd
 
     from microlib.calibration import calibrate

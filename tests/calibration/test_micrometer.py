@@ -139,7 +139,7 @@ def test_counting_chamber_is_refused_and_line_grid_is_read():
     group = np.array([-6, 0, 6, 25, 50, 75])
     lines = np.concatenate([group + 100 * k for k in (-2, -1, 0, 1)])
     across, along = (ruled(lines, 900.0, 2.0, angle=0.03 + turn) for turn in (0, np.pi / 2))
-    with pytest.raises(ValueError, match="equidistant lines, got .*; crop the image"):
+    with pytest.raises(ValueError, match="equidistant lines, got"):
         detect_micrometer(np.minimum(across, along))
 
 

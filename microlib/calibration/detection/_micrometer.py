@@ -280,6 +280,6 @@ def _mean(rows: NDArray[np.float32]) -> Array:
 
 def _no_scale(got: str) -> ValueError:
     return ValueError(
-        f"image must show a scale of equidistant lines, got {got}; crop the image to sharp lines of "
-        "one direction"
+        f"image must show a scale of equidistant lines, got {got}; crop the image to sharp lines "
+        "of one direction"
     )

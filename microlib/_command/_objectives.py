@@ -1,0 +1,115 @@
+"""The task of ``microlib calibrate --marks micrometer``: a table of objectives."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from microlib._command._options import resolve_scales
+from microlib._command._session import End, Session, picture, text
+from microlib._common import home_path
+
+#: Names of the files that it writes, beside a picture.
+FILES = ("objectives.csv", "micromanager.txt", "imagej.ijm")
+
+
+def run(a: argparse.Namespace, session: Session) -> End:
+    """Measure the pixel size of each objective, which has the name of its photograph."""
+    import pandas as pd
+
+    from microlib.calibration import detect_micrometer
+    from microlib.io import image_files, read_grey
+
+    for name in ("pitch", "pixel_pitch", "focal_length"):
+        if getattr(a, name) is not None:
+            raise ValueError(f"a micrometer needs --division, not --{name.replace('_', '-')}")
+    resolve_scales(a, session, "division")
+    photos = image_files(*map(home_path, a.source))
+    session.protect(photos)
+    names = [re.sub(r'[,"\\]', "_", photo.stem) for photo in photos]
+    if len(set(names)) < len(names):
+        raise ValueError(f"names of files must differ, as they name the objectives, got {names}")
+    images, scales, fault = {}, {}, ""
+    for name, photo in zip(names, session.bar(photos, unit=" photos"), strict=True):
+        try:
+            image = read_grey(photo)
+            scales[name], images[name] = detect_micrometer(image), image
+        except ValueError as error:
+            fault = f"{photo}: {str(error).removeprefix(f'path must name an image, got {photo}: ')}"
+            session.note(f"left out {fault}")
+    if not scales:
+        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    sizes = {name: scale.um_per_pixel(a.division) for name, scale in scales.items()}
+    _check_magnifications(session, {name: size.value for name, size in sizes.items()})
+    columns = ("value", "uncertainty", "low", "high", "unit")
+    table = pd.DataFrame(
+        {column: [getattr(size, column) for size in sizes.values()] for column in columns},
+        index=pd.Index(sizes, name="objective"),
+    ).assign(lines=[len(scale.points) for scale in scales.values()])
+    digits = {name: f"{size.value:.7g}" for name, size in sizes.items()}
+    session.write("objectives.csv", text(table.to_csv(lineterminator="\n")))
+    session.write("micromanager.txt", text(_micro_manager(digits)))
+    session.write("imagej.ijm", text(_imagej(digits)))
+    session.write("look.png", picture(partial(_picture, images, scales)))
+    for name, size in sizes.items():
+        session.say(f"{name}: {size}, {len(scales[name].points)} lines")
+    return End()
+
+
+def _check_magnifications(session: Session, sizes: Mapping[str, float]) -> None:
+    """Note objectives whose pixel size does not fit the magnification in the name, as of 10x."""
+    read = {name: re.search(r"(\d+(?:\.\d+)?) ?[xX×]", name) for name in sizes}
+    products = {name: float(found[1]) * sizes[name] for name, found in read.items() if found}
+    usual = np.median([*products.values()]) if products else np.nan
+    for name, product in products.items():
+        if not 1 / 1.5 < product / usual < 1.5:
+            session.note(
+                f"{name}: its pixel size is {product / usual:.3g} times what the others and the "
+                "magnifications in the names give: does its photograph show other divisions?"
+            )
+
+
+def _micro_manager(digits: Mapping[str, str]) -> str:
+    """Return lines for a configuration file of Micro-Manager."""
+    lines = [
+        "# Append these lines to the configuration file of Micro-Manager. Replace Objective by the",
+        "# name of the turret there, and the last word of each ConfigPixelSize by the label of the",
+        "# objective.",
+    ]
+    for name, size in digits.items():
+        lines += [f"ConfigPixelSize,{name},Objective,Label,{name}", f"PixelSize_um,{name},{size}"]
+    return "\n".join([*lines, ""])
+
+
+def _imagej(digits: Mapping[str, str]) -> str:
+    """Return a macro of ImageJ that sets the scale of the open image."""
+    names, sizes = (", ".join(f'"{each}"' for each in part) for part in (digits, digits.values()))
+    return f"""// Sets the scale of the open image: drop this file on ImageJ, and choose Run Macro.
+names = newArray({names});
+sizes = newArray({sizes});  // micrometers per pixel
+Dialog.create("Scale of the image");
+Dialog.addChoice("Objective", names);
+Dialog.show();
+name = Dialog.getChoice();
+for (i = 0; i < names.length; i++)
+    if (names[i] == name)
+        run("Set Scale...", "distance=1 known=" + sizes[i] + " pixel=1 unit=um");
+"""
+
+
+def _picture(images: Mapping[str, NDArray], scales: Mapping[str, Any]) -> Any:
+    """Draw each photograph with the points of its lines."""
+    from microlib._plots._axes import FOUND, new_axes, show_image
+
+    (axes,) = new_axes(1, len(images), 4.0, 3.5)
+    for ax, (name, image) in zip(axes, images.items(), strict=True):
+        show_image(ax, image)
+        ax.plot(*scales[name].points.T, "o", ms=4, mfc="none", color=FOUND)
+        ax.set_title(f"{name}: {len(scales[name].points)} lines")
+    return axes[0].figure
