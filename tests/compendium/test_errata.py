@@ -12,6 +12,7 @@ import sympy as sp
 from scipy.spatial.transform import Rotation
 
 from compendium import ledger, thesis
+from microlib.curvature import hk_labels
 from microlib.membrane import elastic_modulus
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
@@ -185,6 +186,32 @@ def one_magnification(tolerance: float) -> bool:
     return min(gaps) > tolerance and 3000 * min(gaps) > 10 * max(errors)
 
 
+def length_of_step(lengths: tuple[float, float]) -> bool:
+    """A step of 50 px along both axes is as long, to 1 µm, with the pixel sizes of section 5.4."""
+    step = np.hypot(printed("table-5.3/1X/step"), printed("table-5.3/1X/step"))
+    pixels = [printed(f"section-5.4/pixel-{zoom}") for zoom in ("1X", "4X")]
+    return bool(np.allclose(step * np.array(pixels), lengths, atol=1.0))
+
+
+def pixel_of_jacobian(length: float) -> bool:
+    """(2.22) maps the width of a pixel on the sample, 9.9 µm over M, to one pixel."""
+    magnification = column("circle-1X")["M"]
+    x = printed("section-5.1/basler-pixel-pitch") / magnification
+    return abs(magnification / length * x - 1) < 1e-9
+
+
+def slope_of_ramp(sign: int) -> bool:
+    """The sign times (3.20), read as a convolution with (3.18), is the slope of R = x."""
+    window = np.arange(-3, 4) / 28
+    return bool(np.allclose(sign * np.convolve(np.arange(20.0), window, mode="valid"), 1.0))
+
+
+def saddle_ridge(gaussian_sign: int) -> bool:
+    """A surface with H < 0 and this sign of K has the label of a saddle ridge in Table 3.1."""
+    label = hk_labels([-1.0], [0.5 * gaussian_sign], h_zero=0.0, k_zero=0.0)[0]
+    return int(label) == printed("table-3.1/saddle-ridge")
+
+
 ROW_PRINTED = ("u*X", "v*Y", "v", "-u*X", "v*Y")
 ROW_RIGHT = ("v*X", "v*Y", "v", "-u*X", "-u*Y")
 PAIRS = [(1.5893, 1.5941), (6.3858, 6.3795), (1.6236, 1.6262), (6.4438, 6.4446)]
@@ -223,6 +250,10 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
         ("2.317 and 0.461", (2.317, 0.461)),
     ),
     "section-5.4-error-share": (error_share, ("less than 3%", 0.03), ("3.2 %", 0.032)),
+    "section-5.4-distance": (length_of_step, ("311 µm and 77 µm", (311, 77)), ("440", (440, 110))),
+    "section-2.2.2-pixel-size": (pixel_of_jacobian, ("6.23 µm", 6.23), ("9.9 µm", 9.9)),
+    "equation-3.20": (slope_of_ramp, ("D_x ∗ S ∗ R", 1), ("−D_x ∗ S ∗ R", -1)),
+    "section-5.5-saddle-convex": (saddle_ridge, ("also convex", 1), ("K < 0", -1)),
     "equation-3.7": (
         spectrum_of,
         ("(2σ_g))", lambda x, sigma: -(x**2) / (2 * sigma)),
