@@ -80,15 +80,12 @@ def gather(scores: pd.DataFrame) -> dict:
     Returns
     -------
     dict
-        ``sha256`` holds the hash of ``verdicts``, the lines *claim, verdict, star*, which is the
-        same on every processor; of ``figures``, the numbers behind the figures, which is the same
-        on one machine; and of what went in.
+        ``sha256`` holds the hash of ``verdicts``, the lines *claim, verdict, recorded*, which is
+        the same on every processor; of ``figures``, the numbers behind the figures, which is the
+        same on one machine; and of what went in.
     """
     runs = [json.loads(path.read_text("utf-8")) for path in sorted(BUILD.glob("status/*.json"))]
-    words = [
-        f"{row.claim}\t{row.verdict}{ledger.STAR * bool(row.star)}\t{bool(row.recomputed)}\n"
-        for row in scores.itertuples()
-    ]
+    words = [f"{row.claim}\t{row.verdict}\t{bool(row.recomputed)}\n" for row in scores.itertuples()]
     return {
         "commit": git("rev-parse", "HEAD") or "unknown: no repository",
         "committed": git("log", "-1", "--format=%cI"),
@@ -106,7 +103,7 @@ def gather(scores: pd.DataFrame) -> dict:
             {part: run[part] for part in ("notebook", "interpreter", "seconds", "checks", "failed")}
             for run in runs
         ],
-        "verdicts": dict(Counter(claim.label for claim in ledger.claims().values())),
+        "verdicts": dict(Counter(scores["verdict"])),
         "sha256": {
             "verdicts": hash_of("".join(words)),
             "figures": hash_of(contents(BUILD, "figures/*.csv")),

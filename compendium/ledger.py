@@ -1,30 +1,19 @@
-"""The thesis' printed numbers, and the verdict on each.
+"""What the thesis prints and states, and this book's verdict on it.
 
-`data/thesis/claims.toml` holds every printed number once. A notebook computes a number and calls
-`check`, which compares it with the printed one, asserts that the verdict is the one the book
-states, and writes a record. The book's pages, tables and prose are made from these records.
+``data/thesis/claims.toml`` holds every printed number and every sentence that states a result,
+once. A claim is of one of four kinds, which are also the verdicts (`Verdict`):
 
-Verdicts:
+- `Follows`: computed from other printed numbers alone, within their rounding.
+- `Contradicts`: computed from other printed numbers alone, in every reading that the row names. No
+  limit and no assumption of ours takes part; the proof is one line.
+- `Possible`: a run with named assumptions gives it. An assumption that was chosen so that the
+  number comes out is named first.
+- `Open`: what was published does not decide it.
 
-- ``agrees``: the recomputed number agrees with the printed one, or the sentence holds.
-- ``disagrees``: it does not, whatever the thesis leaves open. Claims that disagree for one reason
-  have one ``cause``.
-- ``cannot tell``: what was published does not decide it. Data are missing, the simulation gives a
-  bound only, an interval contains the limit or is too wide, or a choice that the thesis leaves open
-  decides.
-- ``fitted``: one of our quantities was chosen so that this number, or one that follows from it,
-  comes out. Agreement is then no evidence.
-- ``input``: a setting, or a number that the computation was fed with; not a result.
-
-How a number is compared:
-
-- by ``arithmetic``: it follows from other printed numbers and must lie within the tolerance;
-- by ``simulation``: on rendered images or in a simulated loop. Outside of the 95 % interval the
-  printed number disagrees. Inside it agrees if the half-width is at most half of the number;
-- a ``sentence`` is turned into a condition on printed numbers. (A sentence that needs a simulation
-  counts as one.) An interval that contains the limit of the condition cannot tell.
-
-A ``star`` marks agreement that depends on something that the thesis does not print.
+A `Setting`, of ``settings.toml``, is a number that computations were fed with. It is listed and not
+counted. A notebook computes a number and calls `check`, which compares it in the way of the claim's
+kind, raises if the result is not the verdict that the book states, and writes a record. The book's
+pages, tables and prose are made from these records.
 """
 
 from __future__ import annotations
@@ -38,9 +27,10 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from decimal import Decimal
+from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -48,16 +38,10 @@ from numpy.typing import ArrayLike
 
 from microlib._common import replace_file
 
-#: The sign of each verdict, which tells it where its color is not seen. The order is that of the
-#: book's tables: what says most about the thesis comes first.
-VERDICTS = {"disagrees": "✗", "cannot tell": "?", "agrees": "✓", "fitted": "≈", "input": "•"}
-COMPARED = ("arithmetic", "simulation", "sentence")
-STAR = "★"
-#: Set to make `check` record a verdict that the book does not state instead of failing.
+#: Set to make `check` record a number that does not give the stated verdict instead of failing.
 RECORD_MISMATCHES = "COMPENDIUM_RECORD_MISMATCHES"
-#: Largest half-width of a simulated interval over the printed number, above which the interval says
-#: nothing; and of one around a number that the simulation was fed with.
-MAX_RELATIVE_HALF_WIDTH, MAX_RELATIVE_HALF_WIDTH_OF_INPUT = 0.5, 1.0
+#: Largest effect of the rounding of printed numbers on a number that follows from them, over it.
+LARGEST_ROUNDING = 0.01
 
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _THESIS = Path(__file__).resolve().parent.parent / "data" / "thesis"
@@ -69,9 +53,31 @@ class ClaimError(AssertionError):
     """A computed number does not lead to the verdict that the book states for its claim."""
 
 
-@dataclass(frozen=True)
-class Claim:
-    """One printed number, or one sentence turned into a predicate.
+class Verdict(Enum):
+    """The verdicts in the order of the book's tables: what says most about the thesis comes first.
+
+    Attributes
+    ----------
+    word : str
+        The verdict as pages and ``claims.toml`` write it.
+    sign : str
+        What stands for it where there is no room for a word.
+    color : str
+        Its color in figures, a name of `compendium.figures.style.COLORS`.
+    """
+
+    CONTRADICTS = ("contradicts", "✗", "orange")
+    OPEN = ("open", "?", "pink")
+    POSSIBLE = ("possible", "≈", "yellow")
+    FOLLOWS = ("follows", "✓", "green")
+
+    def __init__(self, word: str, sign: str, color: str) -> None:
+        self.word, self.sign, self.color = word, sign, color
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """What every claim and every setting has.
 
     Attributes
     ----------
@@ -80,49 +86,16 @@ class Claim:
     what : str
         The quantity in words.
     where : str
-        Table, section or figure of the thesis.
-    verdict : str
-        One of `VERDICTS`: what the book states, and `check` asserts.
+        Table, section or chapter of the thesis; by default the one in the id.
     printed : str
-        The number as printed, so that its last place is known; empty if the thesis gives none. An
-        entry of ``claims.toml`` about a number of another claim has ``printed_in``, the id of that
-        claim, instead.
-    compared : str
-        One of `COMPARED`; empty if nothing was compared.
+        The number as printed, so that its last place is known, or the printed condition, ``< 1``;
+        empty if the thesis prints neither.
     unit : str
         Unit of the number; empty for pure numbers.
     says : str
         What the thesis says there, in other words.
-    limit : str
-        The predicate that a recomputed number must fulfil for a sentence to hold, ``>= 0.5``.
-    bound : str
-        ``lower`` or ``upper``, where the simulation omits causes of error and gives only a bound.
-    tolerance : float
-        Largest difference at which arithmetic still agrees, in `unit`: that of the recomputed
-        number from the printed one and, with `corrected`, also from the corrected one. By default
-        it is half a unit in the last place of the printed number, or with `corrected` in the last
-        place of the corrected number.
-    reason : str
-        Why the tolerance is not the default, or why the limit is what it is where the thesis gives
-        none.
-    corrected : str
-        The right value where the printed one is proven wrong.
-    recomputed, within : float
-        For a claim that disagrees or is undecided, the number found and how far a later run may
-        deviate from it: for a simulation, four standard deviations over seeds.
-    star : str
-        What agreement depends on that the thesis does not print; empty if nothing.
-    fitted : str
-        Which of our quantities was chosen so that this number, or one that follows from it, comes
-        out; empty if none.
-    undecided : str
-        A choice that the thesis leaves open, another value of which gives another verdict.
-    given : bool
-        Whether the simulation was fed with this number.
-    cause : str
-        Of a claim that disagrees: its cause, an entry of ``causes.toml``.
     note : str
-        Why it disagrees, or which data are missing.
+        What a reader should know besides.
     test : str
         A test that shows more than the check in the notebook, such as a known truth that is
         recovered, as pytest names it.
@@ -131,59 +104,239 @@ class Claim:
     id: str
     what: str
     where: str
-    verdict: str
-    printed: str
-    compared: str = ""
+    printed: str = ""
     unit: str = ""
     says: str = ""
-    limit: str = ""
-    bound: str = ""
-    tolerance: float = math.nan
-    reason: str = ""
-    corrected: str = ""
-    recomputed: float = math.nan
-    within: float = math.nan
-    star: str = ""
-    fitted: str = ""
-    undecided: str = ""
-    given: bool = False
-    cause: str = ""
     note: str = ""
     test: str = ""
 
-    def __post_init__(self) -> None:
-        if self.compared == "arithmetic" and math.isnan(self.tolerance):
-            object.__setattr__(self, "tolerance", half_ulp(self.corrected or self.printed))
-
-    @property
-    def value(self) -> float:
-        """The printed number; for a sentence, its limit."""
-        return float((self.limit or self.printed).split()[-1])
+    verdict: ClassVar[Verdict | None] = None
 
     @property
     def label(self) -> str:
-        """The verdict, with its star if it has one."""
-        return f"{self.verdict} {STAR}" if self.star else self.verdict
+        """The word of the verdict."""
+        return self.verdict.word if self.verdict else "setting"
 
     @property
-    def rule(self) -> str:
-        """How the claim is judged, in words."""
-        unit = f" {self.unit}".rstrip()
-        if not self.compared:
-            return ""
-        if self.limit:
-            sign, limit = self.limit.split()
-            return f"the recomputed number must be {_IN_WORDS[sign]} {limit}{unit}"
-        if self.bound:
-            return f"the simulation leaves causes out, so that it gives a {self.bound} bound"
-        if self.compared == "simulation":
-            return "the printed number must lie in the 95 % interval of the simulation"
-        exact = self.tolerance < 1e-6
-        nearness = "equal" if exact else f"lie within {self.tolerance:.2g}{unit} of"
+    def sign(self) -> str:
+        """The sign of the verdict."""
+        return self.verdict.sign if self.verdict else "•"
+
+    @property
+    def condition(self) -> str:
+        """What a recomputed number must fulfil, ``< 1``; empty if it is compared with a number."""
+        return self.printed if self.printed.startswith((">", "<")) else ""
+
+    @property
+    def value(self) -> float:
+        """The printed number, or that of the condition."""
+        return float((self.condition or self.printed).split()[-1])
+
+    @property
+    def compared(self) -> bool:
+        """Whether a notebook must record a number for it."""
+        return False
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        """Return why a number and its interval do not give the verdict; empty if they do."""
+        raise ValueError(f"{self.id} is not compared; no number can be checked")
+
+    def explanations(self) -> dict[str, str]:
+        """Return the fields of its kind for a reader, by what they are."""
+        return {}
+
+
+class Setting(Entry):
+    """A number that computations were fed with, or a device. It is no result of the thesis."""
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        """Return why a simulation that was fed with the number does not recover it."""
+        return _misses(self, low, high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared(Entry):
+    """A claim that a recomputed number is compared with.
+
+    Attributes
+    ----------
+    limit : str
+        Of a sentence, the condition on the recomputed number, ``> 1``.
+    """
+
+    limit: str = ""
+
+    @property
+    def condition(self) -> str:
+        return self.limit or super().condition
+
+    @property
+    def compared(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Follows(Compared):
+    """A claim that follows from other printed numbers alone, within their rounding.
+
+    The number may differ by half a unit in the last printed place, and by what the rounding of the
+    printed inputs can change.
+    """
+
+    verdict = Verdict.FOLLOWS
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        if self.condition:
+            return _unfulfilled(self, low, high)
+        if high - low > 2 * LARGEST_ROUNDING * abs(value):
+            return f"rounding must not change it by more than {LARGEST_ROUNDING:.0%}"
+        near = abs(value - self.value) <= half_ulp(self.printed) + (high - low) / 2
+        return "" if near else "it differs by more than the rounding of the printed numbers"
+
+    def explanations(self) -> dict[str, str]:
+        rule = "the difference must be within the rounding of the printed numbers"
+        return {"Rule": _in_words(self) if self.condition else rule}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contradicts(Compared):
+    """A claim that other printed numbers prove wrong, in every reading that is known.
+
+    Attributes
+    ----------
+    proof : str
+        The contradiction in one line.
+    cause : str
+        An entry of ``causes.toml``, which several claims may have in common.
+    readings : str
+        The readings in which it was tried, if the text allows several.
+    corrected : str
+        The right value, if it is proven.
+    recomputed, within : float
+        The number found, and how far a later run may deviate from it; by default `corrected`, and
+        half a unit in its last place.
+    """
+
+    proof: str
+    cause: str
+    readings: str = ""
+    corrected: str = ""
+    recomputed: float = math.nan
+    within: float = math.nan
+
+    verdict = Verdict.CONTRADICTS
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        if self.condition:
+            holds = any(_fulfils(self.condition, end) for end in (low, high))
+        else:
+            holds = abs(value - self.value) <= half_ulp(self.printed) + (high - low) / 2
+        if holds:
+            return "it does not contradict what is printed"
         if self.corrected:
-            proven = f"{self.corrected}{unit} is proven"
-            return f"the printed number must {nearness} the recomputed one; {proven}"
-        return f"the recomputed number must {nearness} the printed number"
+            return _moved(value, float(self.corrected), half_ulp(self.corrected))
+        return _moved(value, self.recomputed, self.within)
+
+    def explanations(self) -> dict[str, str]:
+        right = f"{self.corrected} {self.unit}" if self.corrected else ""
+        return {"Proof": self.proof, "Right": right, "Tried in": self.readings}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Possible(Compared):
+    """A claim that a run with named assumptions gives.
+
+    Attributes
+    ----------
+    chosen : str
+        The assumption that was chosen so that the number comes out, if one was.
+    assumes : str
+        The other assumptions: inputs that are not printed, and the meaning of words.
+    """
+
+    chosen: str = ""
+    assumes: str = ""
+
+    verdict = Verdict.POSSIBLE
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        if self.condition:
+            return _unfulfilled(self, low, high)
+        return _misses(self, low, high)
+
+    def explanations(self) -> dict[str, str]:
+        chosen = {"Chosen so that the number comes out": self.chosen, "Assumes": self.assumes}
+        return chosen | ({"Rule": _in_words(self)} if self.condition else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Open(Entry):
+    """A claim that what was published does not decide.
+
+    Attributes
+    ----------
+    found : str
+        What was found.
+    decides : str
+        What would decide it.
+    recomputed, within : float
+        The number that a notebook records, if one does, and how far a later run may deviate from
+        it: for a simulation, four standard deviations over seeds.
+    """
+
+    found: str
+    decides: str
+    recomputed: float = math.nan
+    within: float = math.nan
+
+    verdict = Verdict.OPEN
+
+    @property
+    def compared(self) -> bool:
+        return not math.isnan(self.recomputed)
+
+    def objection(self, value: float, low: float, high: float) -> str:
+        if not self.compared:
+            return super().objection(value, low, high)
+        return _moved(value, self.recomputed, self.within)
+
+    def explanations(self) -> dict[str, str]:
+        return {"Found": self.found, "Would decide it": self.decides}
+
+
+Claim = Follows | Contradicts | Possible | Open
+KINDS = {kind.verdict.word: kind for kind in (Follows, Contradicts, Possible, Open)}
+#: The labels in the order of the book's tables.
+ORDER = (*(verdict.word for verdict in Verdict), "setting")
+
+
+def _fulfils(condition: str, number: float) -> bool:
+    sign, limit = condition.split()
+    return bool(_COMPARISONS[sign](number, float(limit)))
+
+
+def _in_words(entry: Entry) -> str:
+    sign, limit = entry.condition.split()
+    return f"the recomputed number must be {_IN_WORDS[sign]} {limit} {entry.unit}".rstrip()
+
+
+def _unfulfilled(entry: Entry, low: float, high: float) -> str:
+    holds = all(_fulfils(entry.condition, end) for end in (low, high))
+    return "" if holds else _in_words(entry)
+
+
+def _misses(entry: Entry, low: float, high: float) -> str:
+    """Return why an interval does not give a printed number, or says nothing about it."""
+    if (high - low) / 2 > abs(entry.value):
+        return "the half-width of its interval is larger than the printed number"
+    rounding = half_ulp(entry.printed)
+    inside = low - rounding <= entry.value <= high + rounding
+    return "" if inside else "its interval does not contain the printed number"
+
+
+def _moved(value: float, found: float, within: float) -> str:
+    near = abs(value - found) <= within
+    return "" if near else f"it is not within {within:g} of {found:g}, which the book says"
 
 
 @dataclass(frozen=True)
@@ -198,13 +351,13 @@ class Record:
         The recomputed number, in `unit`.
     low, high : float
         The ends of its interval: 95 % over seeds for a simulation, the propagated rounding of
-        printed inputs for arithmetic; both equal `value` where there is none.
+        printed inputs otherwise; both equal `value` where there is none.
     unit : str
         Unit of the number.
     verdict : str
-        The verdict; ``result`` for a number without a printed one. If the book says otherwise and
-        `RECORD_MISMATCHES` is set, the objection follows: ``disagrees: not within 0.05 of 7.5,
-        which the book says``.
+        The verdict; ``setting`` for a setting that a simulation recovers, ``result`` for a number
+        without a printed one. If the number does not give the verdict and `RECORD_MISMATCHES` is
+        set, the objection follows.
     digits : int
         Decimal places to show at most.
     notebook : str
@@ -236,15 +389,7 @@ class Record:
 def with_error(value: float, half_width: float) -> str:
     """Write a number and the half-width of its interval, to two digits of that.
 
-    Parameters
-    ----------
-    value, half_width : float
-        The number and the half-width of its interval, above 0.
-
-    Returns
-    -------
-    str
-        Both to the same place; below 1e-5 in powers of ten.
+    Both go to the same place; below 1e-5 they are in powers of ten.
 
     Examples
     --------
@@ -282,17 +427,12 @@ def half_ulp(printed: str) -> float:
 
 @cache
 def claims() -> Mapping[str, Claim]:
-    """Read all claims.
-
-    Returns
-    -------
-    mapping of str to Claim
-        Every printed number by its id, in the order of the thesis.
+    """Read all claims, by id, in the order of the thesis.
 
     Raises
     ------
     ValueError
-        If the data file is missing.
+        If a claim has no verdict, a field that its kind has not, or lacks one that its kind needs.
 
     Examples
     --------
@@ -301,31 +441,36 @@ def claims() -> Mapping[str, Claim]:
     '1.3237'
     """
     entries, result = _read("claims.toml"), {}
-    for name, entry in entries.items():
-        fields = dict(entry)
-        if other := fields.pop("printed_in", ""):
-            fields["printed"] = entries[other]["printed"]
-        result[name] = Claim(id=name, **fields)
+    for id, entry in entries.items():
+        # Claims that are like an earlier one state what differs.
+        fields = entries[entry["like"]] | entry if "like" in entry else dict(entry)
+        fields.pop("like", None)
+        word = fields.pop("verdict", "")
+        if word not in KINDS:
+            raise ValueError(f"verdict of {id} must be one of {', '.join(KINDS)}, got {word!r}")
+        result[id] = _make(KINDS[word], id, fields)
     return result
 
 
-def claim(id: str) -> Claim:
-    """Return one claim by its id.
+@cache
+def settings() -> Mapping[str, Setting]:
+    """Read all settings, by id, in the order of the thesis."""
+    return {id: _make(Setting, id, entry) for id, entry in _read("settings.toml").items()}
 
-    Parameters
-    ----------
-    id : str
-        For example ``table-5.6/E``.
 
-    Returns
-    -------
-    Claim
-        The printed number and how it is judged.
+def _make(kind: type[Any], id: str, fields: Mapping[str, Any]) -> Any:
+    place, _, number = id.split("/")[0].partition("-")
+    if place == "section" and "." not in number:
+        place = "chapter"
+    given = {"id": id, "where": f"{place.capitalize()} {number}".rstrip(), **fields}
+    try:
+        return kind(**given)
+    except TypeError as error:  # a field too many or too few
+        raise ValueError(f"{id} must be a {kind.__name__}: {error}") from None
 
-    Raises
-    ------
-    ValueError
-        If there is no such claim.
+
+def claim(id: str) -> Claim | Setting:
+    """Return one claim or setting by its id; raise ValueError if there is none.
 
     Examples
     --------
@@ -333,20 +478,14 @@ def claim(id: str) -> Claim:
     >>> claim("table-5.6/w_d").value
     121.22
     """
-    if id not in claims():
-        raise ValueError(f"id must name a claim of claims.toml, got {id!r}")
-    return claims()[id]
+    found = claims().get(id) or settings().get(id)
+    if found is None:
+        raise ValueError(f"id must name an entry of claims.toml or settings.toml, got {id!r}")
+    return found
 
 
 def errata() -> Mapping[str, Mapping[str, str]]:
-    """Read the faults of the thesis.
-
-    Returns
-    -------
-    mapping of str to mapping
-        By id: ``title``, ``where``, ``printed`` (a quotation), ``corrected``, ``proof``, ``origin``
-        (certain, printing or text recognition, or a matter of reading), and perhaps ``reading``, in
-        which nothing is wrong, and ``reaches``, which result it changes.
+    """Read the faults of the thesis, by id; ``errata.toml`` says which fields they have.
 
     Examples
     --------
@@ -358,12 +497,7 @@ def errata() -> Mapping[str, Mapping[str, str]]:
 
 
 def causes() -> Mapping[str, Mapping[str, str]]:
-    """Read the causes of the claims that disagree.
-
-    Returns
-    -------
-    mapping of str to mapping
-        By id: ``title``, ``text``, and perhaps ``reaches``, which result the cause changes.
+    """Read the causes of contradictions, by id; ``causes.toml`` says which fields they have.
 
     Examples
     --------
@@ -374,18 +508,8 @@ def causes() -> Mapping[str, Mapping[str, str]]:
     return _read("causes.toml")
 
 
-def part_of(claim: Claim) -> str:
-    """Return the part of the thesis that a claim belongs to, a title that begins with its number.
-
-    Parameters
-    ----------
-    claim : Claim
-        The claim.
-
-    Returns
-    -------
-    str
-        One of the parts in ``parts.toml``.
+def part_of(entry: Entry) -> str:
+    """Return the part of the thesis that an entry belongs to, a title that begins with its number.
 
     Examples
     --------
@@ -394,95 +518,7 @@ def part_of(claim: Claim) -> str:
     '5.6 Stiffness of the embryo'
     """
     parts = _read("parts.toml").items()
-    return next(part for part, starts in parts if claim.id.startswith(tuple(starts)))
-
-
-def judge(claim: Claim, value: float, low: float, high: float) -> str:
-    """Compare a computed number with its claim.
-
-    Parameters
-    ----------
-    claim : Claim
-        What was printed.
-    value : float
-        The computed number, in the claim's unit.
-    low, high : float
-        Ends of its interval, by which simulations and sentences are judged. Arithmetic is judged by
-        `value` alone.
-
-    Returns
-    -------
-    str
-        One of `VERDICTS`.
-
-    Raises
-    ------
-    ValueError
-        If nothing was compared for this claim.
-
-    Examples
-    --------
-    >>> from compendium.ledger import claim, judge
-    >>> judge(claim("table-5.6/E"), 1.32372, 1.32372, 1.32372)
-    'agrees'
-    >>> judge(claim("table-5.6/w_d"), 120.0, 120.0, 120.0)
-    'disagrees'
-    """
-    if not claim.compared:
-        raise ValueError(f"{claim.id} is not compared; no number can judge it")
-    decides = True  # whether the interval is narrow enough to say anything
-    if claim.limit:
-        compare = _COMPARISONS[claim.limit.split()[0]]
-        holds = compare(value, claim.value)
-        decides = compare(low, claim.value) == compare(high, claim.value)
-    elif claim.compared == "arithmetic":
-        holds = abs(value - claim.value) <= claim.tolerance
-    elif claim.bound:
-        holds = claim.value >= low if claim.bound == "lower" else claim.value <= high
-    else:
-        holds = low <= claim.value <= high
-        most = MAX_RELATIVE_HALF_WIDTH_OF_INPUT if claim.given else MAX_RELATIVE_HALF_WIDTH
-        decides = not holds or (high - low) / 2 <= most * abs(claim.value)
-    if claim.undecided or not decides:
-        return "cannot tell"
-    if not holds:  # what depends on something not printed is no contradiction
-        return "cannot tell" if claim.star else "disagrees"
-    if claim.bound:
-        return "cannot tell"
-    return "input" if claim.given else "fitted" if claim.fitted else "agrees"
-
-
-def check_stated_verdict(claim: Claim, value: float, low: float, high: float) -> tuple[str, str]:
-    """Judge a computed number, and compare the verdict with the one that the book states.
-
-    Parameters
-    ----------
-    claim : Claim
-        What was printed.
-    value, low, high : float
-        As for `judge`.
-
-    Returns
-    -------
-    verdict : str
-        As from `judge`.
-    objection : str
-        Empty if all is as the book says; otherwise what is not.
-
-    Examples
-    --------
-    >>> from compendium.ledger import check_stated_verdict, claim
-    >>> check_stated_verdict(claim("table-3.1/planar"), 6.0, 6.0, 6.0)
-    ('disagrees', 'disagrees, but the book says agrees')
-    """
-    verdict = judge(claim, value, low, high)
-    if verdict != claim.verdict:
-        return verdict, f"{verdict}, but the book says {claim.verdict}"
-    found = float(claim.corrected or claim.recomputed)
-    within = claim.tolerance if claim.corrected else claim.within
-    if not math.isnan(found) and not abs(value - found) <= within:
-        return verdict, f"not within {within:g} of {found:g}, which the book says"
-    return verdict, ""
+    return next(part for part, starts in parts if entry.id.startswith(tuple(starts)))
 
 
 @dataclass
@@ -517,10 +553,7 @@ _session = _Session()
 def open_record(path: str | os.PathLike[str]) -> None:
     """Begin a notebook's record.
 
-    Parameters
-    ----------
-    path : path-like
-        JSON file for the records; empty for none. An older file of the same name is replaced.
+    They go to a JSON file, which replaces an older one of the same name; an empty path is for none.
     """
     _session.path = Path(path) if os.fspath(path) else None
     _session.records = {}
@@ -534,33 +567,31 @@ def check(
     *,
     interval: tuple[float, float] | None = None,
 ) -> Record:
-    """Compare a computed number with the printed one and record the verdict.
+    """Compare a computed number with its claim, in the way of the claim's kind, and record it.
 
     Parameters
     ----------
     id : str
-        The claim, ``table-5.6/E``.
+        The claim, ``table-5.6/E``, or a setting that a simulation recovers.
     value : float
         The computed number, in the claim's unit; 1 or 0 for a predicate that simply holds or not.
     uncertainty : float
         Half-width of the interval around it: of the 95 % interval over seeds for a simulation, of
-        the propagated rounding of the printed inputs for arithmetic.
+        the propagated rounding of the printed inputs otherwise.
     interval : tuple of float, optional
         Both ends, where they do not lie evenly around `value`.
 
     Returns
     -------
     Record
-        The verdict with the computed number.
+        The computed number with the verdict.
 
     Raises
     ------
     ClaimError
-        If the verdict is not the one that ``claims.toml`` states, or the number differs by another
-        amount than it states.
+        If the number does not give the verdict that ``claims.toml`` states.
     ValueError
-        If there is no such claim, the value is not finite, or a simulated number comes without an
-        interval.
+        If there is no such claim, nothing is compared for it, or the value is not finite.
 
     Examples
     --------
@@ -568,31 +599,30 @@ def check(
     >>> print(check("table-5.6/E", 1.32372))
     1.32372 MPa
     """
-    stated = claim(id)
+    entry = claim(id)
     low, high = interval or (value - uncertainty, value + uncertainty)
     if not all(math.isfinite(number) for number in (value, low, high)):
         raise ValueError(f"value of {id} must be finite, got {value} in [{low}, {high}]")
     if not low <= value <= high:
         raise ValueError(f"interval of {id} must contain its value, got {value} in [{low}, {high}]")
-    if stated.compared == "simulation" and not stated.limit and low == high:
-        raise ValueError(f"{id} is simulated and needs an interval, got a bare {value}")
-    if stated.limit:
+    digits = (isinstance(entry, Contradicts) and entry.corrected) or entry.printed
+    if entry.condition or not digits:
         # No printed digits say how many to show: four in all, and three decimals at most.
         shown = min(3, max(0, 3 - math.floor(math.log10(abs(value))))) if value else 3
     else:  # one place more than printed
-        shown = max(0, 1 - int(Decimal(stated.corrected or stated.printed).as_tuple().exponent))
-    verdict, objection = check_stated_verdict(stated, value, low, high)
+        shown = max(0, 1 - int(Decimal(digits).as_tuple().exponent))
+    objection = entry.objection(value, low, high)
     if objection and not os.environ.get(RECORD_MISMATCHES):
-        printed = f"printed {stated.printed or stated.limit} {stated.unit}".rstrip()
-        if stated.corrected:
-            printed += f", corrected to {stated.corrected} {stated.unit}".rstrip()
+        printed = f"printed {entry.condition or entry.printed or 'without a number'}"
         raise ClaimError(
-            f"claim {id}, {stated.what} ({stated.where}): {printed}, recomputed "
-            f"{value:.8g} in [{low:.8g}, {high:.8g}]: {objection}"
+            f"claim {id}, {entry.what} ({entry.where}): {printed} {entry.unit}".rstrip()
+            + f", recomputed {value:.8g} in [{low:.8g}, {high:.8g}]; the book says "
+            f"“{entry.label}”, but {objection}"
         )
-    verdict = f"{verdict}: {objection}" if objection else verdict
-    numbers = (float(value), float(low), float(high))
-    return _session.add(Record(id, *numbers, stated.unit, verdict, shown))
+    verdict = f"{entry.label}: {objection}" if objection else entry.label
+    return _session.add(
+        Record(id, float(value), float(low), float(high), entry.unit, verdict, shown)
+    )
 
 
 def check_equation(
@@ -616,14 +646,6 @@ def check_equation(
     rtol, atol : float
         Largest difference, relative to each of the formula's numbers and absolute. Rounding of
         64 units in the last place of the largest number is always allowed.
-
-    Raises
-    ------
-    ClaimError
-        If a number differs by more, or is not finite; the message names the equation and both
-        numbers.
-    ValueError
-        If the thesis has no such equation, or the shapes differ or are empty.
 
     Examples
     --------
@@ -671,23 +693,13 @@ def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
     digits : int
         Decimal places to show.
 
-    Returns
-    -------
-    Record
-        The number as the book will print it.
-
-    Raises
-    ------
-    ValueError
-        If the id is that of a claim, or the value is not finite.
-
     Examples
     --------
     >>> from compendium.ledger import report
     >>> print(report("4/example", 1.27791, digits=2))
     1.28
     """
-    if id in claims():
+    if id in {**claims(), **settings()}:
         raise ValueError(f"id must not be that of a claim, got {id!r}")
     if not math.isfinite(value):
         raise ValueError(f"value of {id} must be finite, got {value}")
@@ -710,14 +722,15 @@ def summary(prefix: str = "") -> pd.DataFrame:
     """
     rows = {
         record.id: {
-            "quantity": stated.what,
-            "printed": stated.printed,
+            "quantity": entry.what,
+            "printed": entry.printed,
             "recomputed": str(replace(record, unit="")),
-            "unit": stated.unit,
-            "verdict": stated.label,
+            "unit": entry.unit,
+            "verdict": entry.label,
         }
         for record in _session.records.values()
-        if record.id.startswith(prefix) and (stated := claims().get(record.id)) is not None
+        if record.id.startswith(prefix)
+        and (entry := claims().get(record.id) or settings().get(record.id)) is not None
     }
     columns = ["quantity", "printed", "recomputed", "unit", "verdict"]
     table = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
@@ -725,23 +738,7 @@ def summary(prefix: str = "") -> pd.DataFrame:
 
 
 def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
-    """Read the records of all notebooks.
-
-    Parameters
-    ----------
-    folder : path-like
-        Folder with the JSON files that `open_record` made.
-
-    Returns
-    -------
-    dict of str to Record
-        By id.
-
-    Raises
-    ------
-    ValueError
-        If two notebooks recorded the same id.
-    """
+    """Read the records of all notebooks, by id, from the folder of the files of `open_record`."""
     records: dict[str, Record] = {}
     for path in sorted(Path(folder).glob("*.json")):
         for entry in json.loads(path.read_text(encoding="utf-8")):
@@ -752,7 +749,7 @@ def read_records(folder: str | os.PathLike[str]) -> dict[str, Record]:
 
 
 def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
-    """Tabulate every claim with what the notebooks recorded for it.
+    """Tabulate every claim and setting with what the notebooks recorded for it.
 
     Parameters
     ----------
@@ -762,10 +759,10 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a claim in the thesis' order: claim, part (from `part_of`),
-        where, quantity, printed, recomputed, low, high, unit, verdict, star, fitted, undecided,
-        cause, compared, rule, reason, corrected, says, note, test. The column verdict has the
-        verdict that ``claims.toml`` states, and not that of a record.
+        One row a claim in the thesis' order, then the settings: claim, part (from `part_of`),
+        where, quantity, printed, unit, says, recomputed, low, high, verdict, explanation (the
+        fields of its kind, in words), note, test. The verdict is the one that ``claims.toml``
+        states.
 
     Examples
     --------
@@ -775,17 +772,16 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
     '1.3237'
     """
     records, rows = read_records(folder), []
-    names = ["unit", "verdict", "star", "fitted", "undecided", "cause", "compared", "rule"]
-    names += ["reason", "corrected", "says", "note", "test"]
-    for stated in claims().values():
-        part, where = part_of(stated), stated.where
-        row: dict[str, Any] = {"claim": stated.id, "part": part, "where": where}
-        row |= {"quantity": stated.what, "printed": stated.printed}
-        row |= {"recomputed": "", "low": math.nan, "high": math.nan}
-        if found := records.get(stated.id):
+    for entry in (*claims().values(), *settings().values()):
+        row: dict[str, Any] = {"claim": entry.id, "part": part_of(entry), "where": entry.where}
+        row |= {"quantity": entry.what, "printed": entry.printed, "unit": entry.unit}
+        row |= {"says": entry.says, "recomputed": "", "low": math.nan, "high": math.nan}
+        if found := records.get(entry.id):
             text = str(replace(found, unit=""))
             row |= {"recomputed": text, "low": found.low, "high": found.high}
-        rows.append(row | {name: getattr(stated, name) for name in names})
+        told = [f"{what}: {text}" for what, text in entry.explanations().items() if text]
+        row |= {"verdict": entry.label, "explanation": "; ".join(told)}
+        rows.append(row | {"note": entry.note, "test": entry.test})
     return pd.DataFrame(rows)
 
 

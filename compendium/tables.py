@@ -45,15 +45,12 @@ def as_printed(name: str) -> HTML:
         missing = [one.id for one in entries if one.compared and one.id not in found]
         if missing:
             raise ValueError(f"name must be of a table that was checked; missing: {missing}")
-        cells = "".join(
-            _cell(one, found.get(one.id, ""), layout.get("named", False)) for one in entries
-        )
+        cells = "".join(_cell(one, found.get(one.id, "")) for one in entries)
         label = row.get("label", escape(entries[0].says))
         rows += f'<tr><th scope="row">{label}</th>{cells}</tr>'
     head = "".join(f'<th scope="col">{text}</th>' for text in layout["columns"])
-    verdicts = {one.verdict for one in claims}
-    key = [f"{sign} {verdict}" for verdict, sign in ledger.VERDICTS.items() if verdict in verdicts]
-    key += [f"{ledger.STAR} depends on something not printed"] * any(one.star for one in claims)
+    labels = {one.label: one.sign for one in claims}
+    key = [f"{labels[word]} {word}" for word in ledger.ORDER if word in labels]
     title = f"{name.replace('-', ' ').capitalize()}. {layout['title']}"
     above = layout.get("above", "The printed number")
     told = f"{above} stands above our number: {', '.join(key)}."
@@ -63,24 +60,20 @@ def as_printed(name: str) -> HTML:
     )
 
 
-def _cell(claim: ledger.Claim, recomputed: str, named: bool) -> str:
-    name = f"{escape(claim.id.rpartition('/')[2].replace('-', ' '))}<br>" if named else ""
+def _cell(entry: ledger.Entry, recomputed: str) -> str:
     number = recomputed.replace("± ", "±&nbsp;")
-    mark = f"{ledger.VERDICTS[claim.verdict]}&nbsp;{number}" + f"&nbsp;{ledger.STAR}" * bool(
-        claim.star
-    )
     between = "<br>" if number else "&nbsp;"
-    printed = escape(claim.printed or claim.limit)
-    return f"<td>{name}{printed}{between}{verdict_link(claim, mark, up='../')}</td>"
+    link = verdict_link(entry, f"{entry.sign}&nbsp;{number}", up="../")
+    return f"<td>{escape(entry.printed or entry.condition)}{between}{link}</td>"
 
 
-def verdict_link(claim: ledger.Claim, shown: str, *, up: str) -> str:
+def verdict_link(claim: ledger.Entry, shown: str, *, up: str) -> str:
     """Return a claim's verdict as HTML that leads to its row in the list of claims.
 
     Parameters
     ----------
-    claim : Claim
-        The claim.
+    claim : Entry
+        The claim or setting.
     shown : str
         What stands there, as HTML.
     up : str
@@ -93,5 +86,4 @@ def verdict_link(claim: ledger.Claim, shown: str, *, up: str) -> str:
     """
     address = f"{up}claims.html#{make_id(f'claim-{claim.id}')}"
     title = escape(f"{claim.what}: {claim.label}")
-    kind = f"verdict verdict-{make_id(claim.verdict)}"
-    return f'<a class="{kind}" href="{address}" title="{title}">{shown}</a>'
+    return f'<a class="verdict verdict-{claim.label}" href="{address}" title="{title}">{shown}</a>'

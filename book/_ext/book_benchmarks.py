@@ -117,7 +117,7 @@ class Benchmarks(SphinxDirective):
         for path in sorted(RESULTS.glob("*.json")):
             name = path.stem.replace("_", " ").capitalize()
             for what, measured, limit, holds in json.loads(path.read_text("utf-8"))["limits"]:
-                kind = "agrees" if holds == "yes" else "disagrees"
+                kind = "follows" if holds == "yes" else "contradicts"
                 answer = nodes.inline(holds, holds, classes=["verdict", f"verdict-{kind}"])
                 lines.append([name, what, measured, limit, answer])
         kept = sum(row[-1].astext() == "yes" for row in lines)

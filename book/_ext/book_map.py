@@ -170,7 +170,8 @@ def state_of(item: Item) -> str:
     """Return an item's status, and for a table how many of its numbers have which verdict."""
     if item.kind != "table":
         return item.status
-    found = Counter(c.label for c in ledger.claims().values() if c.id.startswith(f"{item.id}/"))
+    entries = (*ledger.claims().values(), *ledger.settings().values())
+    found = Counter(c.label for c in entries if c.id.startswith(f"{item.id}/"))
     return ", ".join(f"{count} {label}" for label, count in found.most_common())
 
 

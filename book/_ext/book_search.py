@@ -37,11 +37,11 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
             stem, anchor = places[item.id]
             text = f"{item.kind.capitalize()} {item.shown}: {item.what}"
             add(item.number, item.kind, text, f"notebooks/{stem}", anchor)
-    for claim in ledger.claims().values():
+    for claim in (*ledger.claims().values(), *ledger.settings().values()):
         found = records().get(claim.id)
         text = f"{claim.what} ({claim.where}): printed {printed(claim)}"
         text += f", recomputed {found}" if found else ""
-        for number in dict.fromkeys(NUMBER.findall(f"{claim.printed} {claim.corrected} {found}")):
+        for number in dict.fromkeys(NUMBER.findall(f"{claim.printed} {found}")):
             add(number, "value", f"{text}: {claim.label}", "claims", f"claim-{claim.id}")
     return numbers
 

@@ -3,12 +3,12 @@
 - ``{recomputed}`id` ``, ``{printed}`id` ``, ``{verdict}`id` ``: the recomputed
   number, the thesis' number and the verdict; a recomputed number leads to the cell that recorded
   it, a verdict to its row in the list of claims.
-- ``{number}`agrees` ``, or another verdict, ``claims``, ``errata``, ``causes``, ``starred`` or a
-  class of errata: how many there are.
+- ``{number}`follows` ``, or another verdict, ``claims``, ``settings``, ``errata``, ``causes``,
+  ``chosen`` or a class of errata: how many there are.
 - ``{counts}``: a table of how many claims have which verdict, and for which reason.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
-- ``{claims}``: the list of all claims, which ``_static/filter.js`` narrows; ``{differences}``:
-  those that disagree, by cause.
+- ``{claims}``: the list of all claims and settings, which ``_static/filter.js`` narrows;
+  ``{differences}``: the contradictions, by cause.
 - ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
 
 A number that no notebook recorded is replaced by the note that it was not computed.
@@ -20,7 +20,6 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from html import escape
-from itertools import product
 from typing import Any, ClassVar
 from urllib.parse import urlencode
 
@@ -36,12 +35,6 @@ from compendium import MISSING, ROOT, ledger
 from compendium.tables import verdict_link
 
 CLAIMS = ROOT / "build" / "claims"
-#: How a count names the claims that were compared in one way.
-CLASSES = {
-    "arithmetic": "compared by arithmetic",
-    "sentence": "compared as sentences",
-    "simulation": "compared by simulation",
-}
 
 
 @cache
@@ -49,46 +42,41 @@ def records() -> dict[str, ledger.Record]:
     return ledger.read_records(CLAIMS)
 
 
-def facets(claim: ledger.Claim) -> dict[str, str]:
+def every_entry() -> list[ledger.Entry]:
+    """Return all claims and settings in the order of the book's tables."""
+    entries = [*ledger.claims().values(), *ledger.settings().values()]
+    return sorted(entries, key=lambda entry: ledger.ORDER.index(entry.label))
+
+
+def facets(entry: ledger.Entry) -> dict[str, str]:
     """Return what the list of claims can be narrowed by, as the address has it."""
-    star, by = "starred" if claim.star else "unstarred", claim.compared or "not compared"
-    part = ledger.part_of(claim).split()[0]
-    return {"verdict": claim.verdict, "star": star, "by": by, "part": part}
+    return {"verdict": entry.label, "part": ledger.part_of(entry).split()[0]}
 
 
 def count_class(claim: ledger.Claim) -> str:
     """Return the class in which a claim is counted among those of its verdict."""
-    if claim.verdict == "input":
-        return "settings of the rendered microscopes" if claim.given else "settings and data"
-    if claim.star:
-        return f"with a star {ledger.STAR}"
-    if claim.verdict == "agrees":
-        return f"{CLASSES[claim.compared]}, without a star"
-    if claim.verdict in ("disagrees", "fitted"):
-        return CLASSES[claim.compared]
-    if claim.verdict == "cannot tell":
-        if claim.undecided:
-            return "because the thesis leaves a choice open"
-        missing = "the simulation gives a bound only" if claim.bound else "data are missing"
-        return f"because {missing}"
-    raise ValueError(f"verdict of {claim.id} must be one that is counted, got {claim.verdict!r}")
+    if isinstance(claim, ledger.Possible):
+        return "with an assumption that was chosen for it" if claim.chosen else "without such a one"
+    if isinstance(claim, ledger.Open):
+        return "with a number of ours" if claim.compared else "with nothing to compute"
+    return "sentences" if claim.condition else "numbers"
 
 
-def count_by_class(verdict: str) -> Counter[str]:
+def count_by_class(verdict: ledger.Verdict) -> Counter[str]:
     """Return how many claims have a verdict, by class."""
-    return Counter(count_class(c) for c in ledger.claims().values() if c.verdict == verdict)
+    return Counter(count_class(c) for c in ledger.claims().values() if c.verdict is verdict)
 
 
 def number_of(what: str) -> int:
-    """Return one count: of a verdict, ``claims``, ``errata``, a class of errata, ``causes`` of what
-    disagrees, or ``starred`` agreements.
+    """Return one count: of a verdict, ``claims``, ``settings``, ``errata``, a class of errata,
+    ``causes`` of contradictions, or ``chosen`` assumptions.
     """
     claims = ledger.claims().values()
     origins = Counter(entry["origin"] for entry in ledger.errata().values())
-    counts = Counter(claim.verdict for claim in claims) | origins
-    counts["claims"], counts["errata"] = len(claims), len(ledger.errata())
-    counts["causes"] = len({claim.cause for claim in claims if claim.cause})
-    counts["starred"] = sum(bool(claim.star) for claim in claims)
+    counts = Counter(claim.label for claim in claims) | origins
+    counts["claims"], counts["settings"] = len(claims), len(ledger.settings())
+    counts["errata"], counts["causes"] = len(ledger.errata()), len(ledger.causes())
+    counts["chosen"] = sum(bool(getattr(claim, "chosen", "")) for claim in claims)
     return counts[what]
 
 
@@ -97,17 +85,17 @@ class Counts(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         rows: list[list[Any]] = []
-        for verdict in ledger.VERDICTS:
+        for verdict in ledger.Verdict:
             classes = [line(f"{n} {name}") for name, n in count_by_class(verdict).most_common()]
-            if verdict == "disagrees":
+            if verdict is ledger.Verdict.CONTRADICTS:
                 classes.append(line(f"{number_of('causes')} causes in all"))
-            kind = ["verdict", f"verdict-{nodes.make_id(verdict)}"]
-            shown = nodes.inline(verdict, verdict, classes=kind)
-            rows.append([shown, span(str(number_of(verdict)), "count"), classes])
+            kind = ["verdict", f"verdict-{verdict.word}"]
+            shown = nodes.inline(verdict.word, verdict.word, classes=kind)
+            rows.append([shown, span(str(number_of(verdict.word)), "count"), classes])
         return [table(["Verdict", "Claims", "Of these"], rows)]
 
 
-def printed(claim: ledger.Claim) -> str:
+def printed(claim: ledger.Entry) -> str:
     """Return the number that the thesis prints, with its unit."""
     number = f"{claim.printed} {claim.unit}".replace(">=", "≥").rstrip()
     return number if claim.printed else "no number"
@@ -131,7 +119,7 @@ def name_cells(app: Sphinx, doctree: nodes.document) -> None:
             cell["ids"] += [nodes.make_id(f"number-{name}") for name in found]
 
 
-def claim_link(env: Any, claim: ledger.Claim) -> nodes.raw:
+def claim_link(env: Any, claim: ledger.Entry) -> nodes.raw:
     """Return a claim's verdict, which leads to its row."""
     return raw_html(verdict_link(claim, claim.label, up="../" * env.docname.count("/")))
 
@@ -157,28 +145,26 @@ class VerdictMap(SphinxDirective):
         claims = [
             facets(claim) | {"part": ledger.part_of(claim)} for claim in ledger.claims().values()
         ]
-        counts = Counter((one["part"], one["verdict"], one["star"]) for one in claims)
+        counts = Counter((one["part"], one["verdict"]) for one in claims)
         totals = Counter(one["part"] for one in claims)
         parts = []
         for part, total in totals.items():
             pieces = []
-            for verdict, star in product(ledger.VERDICTS, ("unstarred", "starred")):
-                if count := counts[part, verdict, star]:
-                    piece = {"verdict": verdict, "star": star}
-                    query = urlencode(piece | {"part": part.split()[0]})
-                    pieces.append(piece | {"count": count, "query": query})
+            for verdict in ledger.Verdict:
+                if count := counts[part, verdict.word]:
+                    query = urlencode({"verdict": verdict.word, "part": part.split()[0]})
+                    pieces.append({"verdict": verdict.word, "count": count, "query": query})
             parts.append((part, pieces, max(totals.values()) - total))
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        context = {"parts": parts, "order": ledger.VERDICTS, "star": ledger.STAR, "page": page}
+        context = {"parts": parts, "order": [v.word for v in ledger.Verdict], "page": page}
         return [raw_html(self.env.app.builder.templates.render("verdict_map.html", context))]
 
 
 class Claims(SphinxDirective):
-    """The list of all claims with a filter, those that disagree first."""
+    """The list of all claims with a filter, contradictions first and settings last."""
 
     def run(self) -> list[nodes.Node]:
-        order = list(ledger.VERDICTS)
-        chosen = sorted(ledger.claims().values(), key=lambda claim: order.index(claim.verdict))
+        chosen = every_entry()
         head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
         rows = [self.row(claim) for claim in chosen]
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
@@ -187,26 +173,21 @@ class Claims(SphinxDirective):
         script = f'<script type="application/json" id="claims-facets">{script_json(data)}</script>'
         return [raw_html(script), result]
 
-    def row(self, claim: ledger.Claim) -> list[list[nodes.Node]]:
-        found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
+    def row(self, claim: ledger.Entry) -> list[list[nodes.Node]]:
+        recorded = claim.compared or claim.id in records()
+        found = cell_link(self.env, claim.id) if recorded else nodes.Text("–")
         verdict = nodes.paragraph("", "", claim_link(self.env, claim))
-        if claim.compared:
-            verdict += nodes.Text(f" by {claim.compared}")
-        said = [(f"{ledger.STAR} ", claim.star), ("Fitted: ", claim.fitted)]
-        said += [("Left open: ", claim.undecided), ("", claim.note)]
-        said.append(("Corrected: ", claim.corrected))
-        rule = f"{claim.rule}. The reason: {claim.reason}" if claim.reason else claim.rule
-        said.append(("Rule: ", rule))
+        said = {f"{what}: ": text for what, text in claim.explanations().items()} | {"": claim.note}
         thesis = [line(printed(claim), "printed")]
         return [
             [line(claim.what), line(claim.id, "claim-id")],
             [*thesis, line(f"{claim.says}.")] if claim.says else thesis,
             [nodes.paragraph("", "", found)],
-            [verdict, *(line(f"{label}{text.rstrip('.')}.") for label, text in said if text)],
+            [verdict, *(line(f"{what}{text.rstrip('.')}.") for what, text in said.items() if text)],
             list(self.sources(claim)),
         ]
 
-    def sources(self, claim: ledger.Claim) -> Iterator[nodes.Node]:
+    def sources(self, claim: ledger.Entry) -> Iterator[nodes.Node]:
         """Yield where a claim stands in the chapters, what holds its computation, its erratum."""
         page, anchor = place_of(claim)
         yield self.lead(claim.where, page, anchor)
@@ -222,7 +203,7 @@ class Claims(SphinxDirective):
         return nodes.paragraph("", "", link(self.env, nodes.Text(text), page, anchor))
 
 
-def place_of(claim: ledger.Claim) -> tuple[str, str]:
+def place_of(claim: ledger.Entry) -> tuple[str, str]:
     """Return page and anchor of the table or section that a claim's id begins with."""
     places = find_items()
     name = claim.id.split("/")[0]
@@ -239,21 +220,20 @@ def parse_lines(directive: SphinxDirective, lines: list[str], part: nodes.Elemen
 
 
 class Differences(SphinxDirective):
-    """Each claim that disagrees: both numbers and the reason, by cause."""
+    """Each contradiction by its cause: both numbers and the proof."""
 
     def run(self) -> list[nodes.Node]:
         causes = ledger.causes()
         lines = {name: [cause["text"], ""] for name, cause in causes.items()}
         for claim in ledger.claims().values():
-            if claim.verdict == "disagrees":
+            if isinstance(claim, ledger.Contradicts):
                 thesis = f"The thesis prints {printed(claim)}."
-                if not claim.printed:
-                    rule = claim.rule.replace("must be", "is")
-                    thesis = f"The thesis states: {claim.says}. This statement holds if {rule}."
-                texts = (claim.what, claim.where, thesis, claim.note)
-                what, where, thesis, note = (escape(text, quote=False) for text in texts)
+                if claim.limit:
+                    thesis = f"The thesis states: {claim.says}."
+                texts = (claim.what, claim.where, thesis, claim.proof)
+                what, where, thesis, proof = (escape(text, quote=False) for text in texts)
                 text = f"- **{what}** ({where}). {{verdict}}`{claim.id}` {thesis} "
-                text += f"The recomputed number is {{recomputed}}`{claim.id}`. {note}"
+                text += f"The recomputed number is {{recomputed}}`{claim.id}`. Proof: {proof}."
                 lines[claim.cause].append(text)
         parts = {name: section(f"cause-{name}", causes[name]["title"]) for name in lines}
         return [parse_lines(self, lines[name], part) for name, part in parts.items()]

@@ -6,7 +6,7 @@
     const rows = [...document.querySelectorAll("table.claims tbody tr")];
     const form = Object.assign(document.createElement("div"), { className: "claims-filter" });
     const count = document.createElement("output");
-    const titles = { text: "Find", verdict: "Verdict", star: "Star", by: "Compared by", part: "Part" };
+    const titles = { text: "Find", verdict: "Verdict", part: "Part" };
     const fields = Object.entries(titles).map(([name, title]) => {
       const field = document.createElement(name === "text" ? "input" : "select");
       field.name = name;

@@ -33,6 +33,14 @@ PRINTED_WINDOWS = {
 }
 
 
+#: The types of Table 3.1 in the order of its labels, from 1 to 9; the fourth is no surface.
+TABLE_3_1 = (
+    *("convex elliptic", "convex cylindric", "saddle ridge"),
+    *("none", "planar", "minimal surface"),
+    *("concave elliptic", "concave cylindric", "saddle valley"),
+)
+
+
 def depths(
     frames: NDArray, positions: ArrayLike, truth: NDArray, methods: Mapping[str, dict[str, Any]]
 ) -> tuple[dict[str, FocusResult], pd.DataFrame]:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
 from compendium import thesis
+from compendium.experiments import chapter_4
 from compendium.ledger import claim, claims
 
 #: Modulus at the blastula stage over that before hatching: Kim et al. (2006), abstract.
@@ -19,18 +20,22 @@ FALSE_ALARM, MISS = 0.05, 0.05
 def of_printed_numbers() -> dict[str, float]:
     """Return what decides each sentence that printed numbers alone decide, by its claim."""
     table = {name: entry.value for name, entry in claims().items() if entry.printed}
-    errors = {name: value for name, value in table.items() if name.endswith("/accuracy")}
+    in_pixels = {
+        name: value / claim(f"section-5.4/pixel-{name.split('/')[1]}").value
+        for name, value in table.items()
+        if name.startswith(("table-5.3/", "table-5.4/")) and not name.endswith("settling-time")
+    }
     on_paths = [
-        errors[f"table-5.4/{zoom}/{path}/accuracy"] / claim(f"section-5.4/pixel-{zoom}").value
-        for zoom in thesis.ZOOMS
-        for path in ("square", "circle", "sinusoid")
+        px for name, px in in_pixels.items() if "table-5.4" in name and name.endswith("accuracy")
     ]
+    every_width = np.linspace(0.01, 0.99, 981) * table["table-5.6/a"]
     settling = [table[f"table-5.3/{zoom}/settling-time"] for zoom in thesis.ZOOMS]
     return {
-        "section-4.1/small-slopes": table["table-5.6/w_d"] / table["table-5.6/a"],
+        "section-4.1/small-slopes": chapter_4.probe_sines(every_width).min(),
         "section-5.4/settles-in-a-second": max(settling),
-        "section-5.4/tracked-accurately": sum(px <= 1 for px in on_paths) / len(on_paths),
-        "section-6/precise-and-accurate": min(errors.values()),
+        "section-5.4/tracked-accurately": float(np.mean([px <= 1 for px in on_paths])),
+        "section-6/precise-and-accurate": sum(px <= 1 for px in in_pixels.values())
+        / len(in_pixels),
     }
 
 

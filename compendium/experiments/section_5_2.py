@@ -153,19 +153,27 @@ def printed_labels(column: str, found: Detection, like: Microscope) -> NDArray:
     return pitch * (found.grid - np.round(steps)) @ turn
 
 
-def dependent_entries(column: str) -> dict[str, float]:
-    """Return what Table 5.1's lengths T_op, f and d say of its entries M, d and T_z.
+def dependent_entries(column: str) -> dict[str, tuple[float, float]]:
+    """Return what Table 5.1's lengths T_op, f and d say of its entries M and T_z, with rounding.
 
-    M = T_op/f (2.12), d = f²/T_op (2.20) and T_z = f + d (2.8); lengths in µm.
+    M = T_op/f (2.12) and T_z = f + d (2.8); lengths in µm. The second number of each is what the
+    rounding of the lengths, of which five digits are known, changes in 95 % of random draws.
 
     Examples
     --------
     >>> from compendium.experiments.section_5_2 import dependent_entries
-    >>> round(dependent_entries("circle-1X")["T_z"])
-    204900
+    >>> T_z, rounding = dependent_entries("circle-1X")["T_z"]
+    >>> round(T_z), round(rounding)
+    (204900, 5)
     """
-    t_op, f, d = (thesis.table_5_1(column, name) for name in ("T_op", "f", "d"))
-    return {"M": t_op / f, "d": f**2 / t_op, "T_z": f + d}
+    lengths = np.array([thesis.table_5_1(column, name) for name in ("T_op", "f", "d")])
+    half_units = 0.5 * 10.0 ** (np.floor(np.log10(lengths)) - 4)
+    drawn = lengths + half_units * np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
+    entries = {}
+    for name, follow in (("M", lambda t_op, f, d: t_op / f), ("T_z", lambda t_op, f, d: f + d)):
+        value = follow(*lengths)
+        entries[name] = float(value), float(np.quantile(np.abs(follow(*drawn.T) - value), 0.95))
+    return entries
 
 
 def over_draws(values: ArrayLike, images: int) -> tuple[float, float, float]:
@@ -196,15 +204,17 @@ def table_5_1(taken: Mapping[str, Photograph]) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        A row each entry: claim, value, the ends low and high of `over_draws` in the printed unit,
-        and whether it is an input; the others are `dependent_entries`.
+        A row each entry: claim, value, the ends low and high in the printed unit, from `over_draws`
+        for an input, and whether it is an input; the others are `dependent_entries`.
     """
     rows: list[tuple] = []
     for column, photo in taken.items():
         follows = dependent_entries(column)
-        for name in ("M", "T_op", "f", "d", *list(RECOVERED)[2:], "T_z"):
-            found = (follows.get(name, np.nan),) * 3
-            if name in RECOVERED:
+        for name in ("M", *RECOVERED, "T_z"):
+            if name in follows:
+                value, rounding = follows[name]
+                found = value, value - rounding, value + rounding
+            else:
                 field, factor, given = RECOVERED[name]
                 fits = photo.with_f if given else photo.without_f
                 values = factor * np.array([getattr(fit.microscope, field) for fit in fits])
@@ -303,6 +313,14 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
             off = points - scope.project(grid * pitch)
             table.loc[blur, name] = np.sqrt(np.mean(off**2))
     return table.astype(float)
+
+
+def distortions_apart(zoom: str) -> float:
+    """Return the difference of κ of both patterns in Table 5.1, over the larger one."""
+    circles, squares = (
+        thesis.table_5_1(f"{shape}-{zoom}", "kappa") for shape in ("circle", "square")
+    )
+    return abs(circles - squares) / max(abs(circles), abs(squares))
 
 
 def corner_shift(column: str) -> float:

@@ -14,7 +14,7 @@ from skimage.measure import label as connected
 from compendium import thesis
 from compendium.experiments.chapter_3 import PRINTED_WINDOWS
 from compendium.experiments.rendering import expose
-from compendium.ledger import claim
+from compendium.ledger import Contradicts, claim
 from microlib.curvature import hk_labels
 from microlib.focus import (
     correct_spikes,
@@ -147,8 +147,8 @@ def thesis_curvature(height: NDArray, *, corrected: bool = False) -> tuple[NDArr
     windows = {}
     for name, (_, integers) in PRINTED_WINDOWS.items():
         entry = claim(f"section-3.2.1/{name}")
-        divisor = entry.corrected if corrected and entry.corrected else entry.printed
-        windows[name] = np.array(integers) / float(divisor)
+        right = entry.corrected if isinstance(entry, Contradicts) else entry.printed
+        windows[name] = np.array(integers) / float(right if corrected else entry.printed)
 
     def correlate(image: NDArray, along_y: str, along_x: str) -> NDArray:
         half = ndimage.correlate1d(image, windows[along_y], axis=0)

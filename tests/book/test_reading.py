@@ -19,7 +19,7 @@ CLAIMS = ledger.claims().values()
 # What a new reader wants from the front page on: what is clicked or searched for, and then seen.
 TASKS = {
     "what was found": ("does not apply to this dimple",),
-    "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "remember from the catalogue"),
+    "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "this window contains a round number"),
     "which erratum": ("?q=203610", "ul.search li a",
                       "#claim-table-5-1-square-4x-t-z a:text('erratum')", "Right:"),
     "which function": ("a[href$='#claim-table-5-6-e']", "#claim-table-5-6-e a:text('code')",
@@ -28,8 +28,8 @@ TASKS = {
     "use my film": ("article a:has-text('Use it')", "article a:has-text('Track a part')",
                     "-p frames my_film.mp4"),
     "what is not known and why": ("article a:has-text('How a verdict')",
-                                  ".verdict-map a[title^='5.6'][title*='cannot']",
-                                  "the outline is not in the text."),
+                                  ".verdict-map a[title^='5.6'][title*='open']",
+                                  "The page image of figure 5.18"),
     "how to cite": ("@software{microlib",),
     "which function of an equation": ("?q=(3.10)", "ul.search li a", "in code: "),
     "chapter 3 with another window": ("article a:has-text('how it was done')",
@@ -46,7 +46,8 @@ def script(html: Path, name: str) -> dict:
 
 def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
     """Each link to a claim that has the color of a verdict has that of the claim."""
-    known = {nodes.make_id(f"claim-{claim.id}"): nodes.make_id(claim.verdict) for claim in CLAIMS}
+    entries = [*CLAIMS, *ledger.settings().values()]
+    known = {nodes.make_id(f"claim-{one.id}"): one.label for one in entries}
     seen: Counter[str] = Counter()
     for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
         text = path.read_text("utf-8").partition("<article")[2].partition("</article>")[0]
@@ -54,13 +55,13 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
             assert verdict == known[name], f"{path.name}: {name}"
             seen[path.stem] += 1
         plain = re.sub(r'<span class="count">.*?</span>|<[^>]+>', "", text)
-        pattern = r"\b\d+ (?:claims|errata|faults|agree|disagree|cannot be told|are inputs)\b"
+        pattern = r"\b\d+ (?:claims|settings|errata|faults|follow|contradict|are open)\b"
         assert re.findall(pattern, plain) == [], f"{path.name} has a number that nobody counts"
-    assert seen["claims"] == len(CLAIMS)
-    assert seen["differences"] == sum(claim.verdict == "disagrees" for claim in CLAIMS)
-    for verdict in ledger.VERDICTS:
-        number = sum(claim.verdict == verdict for claim in CLAIMS)
-        assert count_by_class(verdict).total() == number_of(verdict) == number, verdict
+    assert seen["claims"] == len(entries)
+    assert seen["differences"] == sum(claim.label == "contradicts" for claim in CLAIMS)
+    for verdict in ledger.Verdict:
+        number = sum(claim.verdict is verdict for claim in CLAIMS)
+        assert count_by_class(verdict).total() == number_of(verdict.word) == number, verdict
 
 
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
@@ -77,13 +78,14 @@ def test_verdict_bars_count_all_claims_and_filter_table(page: Page, html: Path) 
     open_page(page, html / "verdicts.html")
     pieces = page.locator(".verdict-map dd a")
     assert sum(int(text) for text in pieces.all_inner_texts()) == len(CLAIMS)
-    piece = page.locator(".verdict-map a[title^='5.6'][title*='disagrees, unstarred']")
+    piece = page.locator(".verdict-map a[title^='5.6'][title*='contradicts']")
     count = piece.inner_text()
     piece.click()
-    page.wait_for_selector(f"output:has-text('{count} of {len(CLAIMS)}')")
+    listed = len(CLAIMS) + len(ledger.settings())
+    page.wait_for_selector(f"output:has-text('{count} of {listed}')")
     assert page.locator("table.claims tbody tr:visible").count() == int(count)
     page.goto((html / "claims.html").as_uri())
-    assert page.locator("table.claims .verdict").first.inner_text().startswith("disagrees")
+    assert page.locator("table.claims .verdict").first.inner_text().startswith("contradicts")
     page.get_by_label("Find").focus()
     page.keyboard.type("table-5.6")
     page.reload()  # the address keeps what is sought
@@ -94,7 +96,7 @@ def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
     for query, first in (
         ("equation (4.7)", "Equation (4.7): "),
         ("5.6", "Section 5.6"),  # before the table and the figure of that number
-        ("0.1012", "Relative probe width"),
+        ("0.101", "Relative probe width"),
         ("1.32", "Elastic modulus"),  # the first digits of 1.3237
         ("6.386", "Magnification, circle 4X"),  # 6.3859, rounded
     ):

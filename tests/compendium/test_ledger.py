@@ -5,69 +5,78 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from compendium import ledger
+from compendium.figures.style import COLORS
 
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = list(ledger.claims().values())
+SETTINGS = list(ledger.settings().values())
+PROVEN = {"proof": "p", "cause": "c"}
+FOUND = {"found": "f", "decides": "d", "recomputed": 3.0, "within": 0.1}
 
 
-def make(**changes: object) -> ledger.Claim:
-    fields = {"id": "x", "what": "", "where": "", "verdict": "agrees", "printed": "2.50"}
-    return ledger.Claim(**fields | {"compared": "arithmetic"} | changes)
-
-
-SIMULATED = {"compared": "simulation"}
+def make(kind: str, **fields: object) -> ledger.Claim:
+    entry = {"id": "x", "what": "", "where": "", "printed": "2.50"}
+    return ledger.KINDS[kind](**entry | fields)
 
 
 @pytest.mark.parametrize(
-    ("changes", "numbers", "verdict"),
+    ("kind", "fields", "numbers", "passes"),
     [
-        ({}, (2.5049, 2.5049, 2.5049), "agrees"),
-        ({}, (2.5051, 2.0, 3.0), "disagrees"),  # an interval widens no tolerance
-        (SIMULATED, (2.4, 2.3, 2.5), "agrees"),
-        (SIMULATED, (2.4, 2.3, 2.49), "disagrees"),
-        (SIMULATED, (2.5, 1.3, 3.7), "agrees"),
-        (SIMULATED, (2.5, 1.2, 3.8), "cannot tell"),
-        (SIMULATED | {"given": True}, (2.5, 0.1, 4.9), "input"),
-        (SIMULATED | {"given": True}, (2.5, -0.1, 5.1), "cannot tell"),
-        (SIMULATED | {"given": True}, (2.4, 2.3, 2.49), "disagrees"),
-        (SIMULATED | {"fitted": "x"}, (2.4, 2.3, 2.5), "fitted"),
-        (SIMULATED | {"fitted": "x"}, (2.4, 2.3, 2.49), "disagrees"),
-        (SIMULATED | {"fitted": "x"}, (2.5, 1.2, 3.8), "cannot tell"),
-        (SIMULATED | {"star": "x"}, (2.4, 2.3, 2.5), "agrees"),
-        (SIMULATED | {"star": "x"}, (2.4, 2.3, 2.49), "cannot tell"),
-        (SIMULATED | {"undecided": "x"}, (2.4, 2.3, 2.5), "cannot tell"),
-        (SIMULATED | {"undecided": "x"}, (2.4, 2.3, 2.49), "cannot tell"),
-        ({"compared": "sentence", "limit": ">= 0.5"}, (0.5, 0.5, 0.5), "agrees"),
-        ({"compared": "sentence", "limit": "> 0.5"}, (0.5, 0.5, 0.5), "disagrees"),
-        (SIMULATED | {"limit": "< 1"}, (0.9, 0.9, 0.9), "agrees"),
-        (SIMULATED | {"limit": "< 1"}, (0.9, 0.8, 1.0), "cannot tell"),
-        (SIMULATED | {"limit": "< 1"}, (1.1, 0.9, 1.2), "cannot tell"),
-        (SIMULATED | {"limit": "< 1"}, (1.1, 1.0, 1.2), "disagrees"),
-        (SIMULATED | {"limit": "> 0.5", "fitted": "x"}, (0.9, 0.8, 1.0), "fitted"),
-        (SIMULATED | {"bound": "lower"}, (2.6, 2.45, 2.7), "cannot tell"),
-        (SIMULATED | {"bound": "lower"}, (2.6, 2.55, 2.7), "disagrees"),
-        (SIMULATED | {"bound": "upper"}, (2.4, 2.3, 2.55), "cannot tell"),
-        (SIMULATED | {"bound": "upper"}, (2.4, 2.3, 2.45), "disagrees"),
+        ("follows", {}, (2.5049, 2.5049, 2.5049), True),
+        ("follows", {}, (2.5051, 2.5051, 2.5051), False),
+        ("follows", {}, (2.5149, 2.5049, 2.5249), True),  # what printed inputs allow
+        ("follows", {}, (2.5151, 2.5051, 2.5251), False),
+        ("follows", {}, (2.5, 2.4, 2.6), False),  # no rounding is as large
+        ("follows", {"printed": "< 1", "unit": "s"}, (0.9, 0.9, 0.9), True),
+        ("follows", {"printed": "< 1", "unit": "s"}, (1.0, 1.0, 1.0), False),
+        ("follows", {"limit": ">= 0.5"}, (0.5, 0.5, 0.5), True),
+        ("follows", {"limit": "> 0.5"}, (0.5, 0.5, 0.5), False),
+        ("contradicts", PROVEN | {"corrected": "7.5"}, (7.52, 7.52, 7.52), True),
+        ("contradicts", PROVEN | {"corrected": "7.5"}, (7.56, 7.56, 7.56), False),
+        ("contradicts", PROVEN | {"corrected": "2.504"}, (2.504, 2.504, 2.504), False),
+        ("contradicts", PROVEN | {"recomputed": 2.6, "within": 0.2}, (2.6, 2.6, 2.6), True),
+        ("contradicts", PROVEN | {"recomputed": 2.6, "within": 0.2}, (2.6, 2.5, 2.7), False),
+        ("contradicts", PROVEN | {"limit": "< 1", **FOUND}, (3.0, 3.0, 3.0), None),
+        ("contradicts", PROVEN | {"limit": "< 1", "corrected": "3"}, (3.0, 2.9, 3.1), True),
+        ("contradicts", PROVEN | {"limit": "< 1", "corrected": "3"}, (3.0, 0.9, 5.1), False),
+        ("possible", {"assumes": "a"}, (2.4, 2.3, 2.5), True),
+        ("possible", {"assumes": "a"}, (2.4, 2.3, 2.49), False),
+        ("possible", {"assumes": "a"}, (2.5, 0.1, 4.9), True),
+        ("possible", {"assumes": "a"}, (2.5, -0.1, 5.1), False),  # such an interval says nothing
+        ("possible", {"assumes": "a", "limit": "< 1"}, (0.9, 0.8, 0.99), True),
+        ("possible", {"assumes": "a", "limit": "< 1"}, (0.9, 0.8, 1.0), False),
+        ("possible", {"assumes": "a", "limit": "< 1"}, (1.1, 0.9, 1.2), False),
+        ("open", FOUND, (3.05, 0.0, 9.0), True),
+        ("open", FOUND, (3.11, 0.0, 9.0), False),
+        ("open", FOUND, (2.5, 2.5, 2.5), False),  # although it equals the printed number
     ],
 )
-def test_judge_gives_verdict_from_interval_and_tolerance(changes, numbers, verdict):
-    """The verdict that the entry states decides nothing."""
-    for stated in ledger.VERDICTS:
-        assert ledger.judge(make(**changes | {"verdict": stated}), *numbers) == verdict
+def test_each_kind_has_its_own_comparison(kind, fields, numbers, passes):
+    if passes is None:
+        with pytest.raises(TypeError, match="unexpected keyword argument"):
+            make(kind, **fields)
+    else:
+        assert (make(kind, **fields).objection(*numbers) == "") == passes
 
 
-@pytest.mark.parametrize("value", [1e9, -1e9, 0.0, 2.0, -2.5])
-def test_changed_difference_fails_pinned_verdict(value):
-    claim = make(verdict="disagrees", recomputed=3.0, within=0.1)
-    assert ledger.check_stated_verdict(claim, 3.05, 3.05, 3.05) == ("disagrees", "")
-    assert "not within 0.1 of 3" in ledger.check_stated_verdict(claim, value, value, value)[1]
-    erratum = make(verdict="disagrees", corrected="7.5")
-    assert ledger.check_stated_verdict(erratum, 7.52, 7.52, 7.52) == ("disagrees", "")
-    assert "not within 0.05 of 7.5" in ledger.check_stated_verdict(erratum, value, value, value)[1]
+def test_setting_is_recovered_or_not():
+    one = ledger.Setting(id="x", what="", where="", printed="2.50")
+    assert one.objection(2.4, 2.3, 2.5) == ""
+    assert "does not contain" in one.objection(2.4, 2.3, 2.49)
+    assert "larger than the printed number" in one.objection(2.5, -0.1, 5.1)
+
+
+def test_verdicts_have_kinds_signs_and_colors():
+    assert {verdict.word for verdict in ledger.Verdict} == set(ledger.KINDS)
+    css = (ROOT / "book" / "_static" / "thesis.css").read_text("utf-8")
+    for verdict in ledger.Verdict:
+        assert ledger.KINDS[verdict.word].verdict is verdict
+        assert verdict.color in COLORS
+        assert f".verdict-{verdict.word} {{ background: #" in css
+    assert len({one.sign for one in ledger.Verdict} | {SETTINGS[0].sign}) == 5
 
 
 @pytest.mark.parametrize(
@@ -94,55 +103,52 @@ def test_check_equation_accepts_rounding_and_stated_tolerances():
         ledger.check_equation("9.9", 1.0, 1.0)
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
+@pytest.mark.parametrize("claim", [*CLAIMS, *SETTINGS], ids=lambda claim: claim.id)
 def test_claim_entry_is_consistent(claim):
-    """What must hold of every entry of claims.toml."""
-    arithmetic, simulated = claim.compared == "arithmetic", claim.compared == "simulation"
-    assert claim.verdict in ledger.VERDICTS
-    assert claim.compared in ("", *ledger.COMPARED)
-    assert claim.compared or claim.verdict in ("cannot tell", "input")
-    assert claim.compared or not claim.test
+    """What must hold of every entry of claims.toml and settings.toml."""
     file, _, function = claim.test.partition("::")
     assert not function or f"def {function}(" in (ROOT / file).read_text(encoding="utf-8")
-    # A sentence needs its words, and a limit that the thesis does not print its reason.
-    assert bool(claim.limit) <= bool(claim.says)
-    assert (claim.compared == "sentence") <= bool(claim.limit)
-    if claim.limit:
-        assert re.fullmatch(r"(>=|<=|>|<) [-+\d.e]+", claim.limit)
-        assert not (claim.reason and claim.printed), "a limit of this book is not printed"
-    assert claim.bound in (("", "lower", "upper") if simulated else ("",))
-    # Whoever cannot tell or disagrees says why, and how far off it is.
-    assert claim.note or claim.verdict not in ("cannot tell", "disagrees")
-    stated = claim.recomputed == claim.recomputed
-    off = claim.verdict == "disagrees" or bool(claim.undecided)
-    assert off == (stated or bool(claim.corrected))
-    assert stated == (0 < claim.within < math.inf)
-    # What agrees may depend on something not printed; what disagrees may not, and has a cause.
-    assert not claim.star or claim.verdict == "agrees"
-    assert bool(claim.fitted) == (claim.verdict == "fitted")
-    assert not claim.undecided or claim.verdict == "cannot tell"
-    assert bool(claim.cause) == (claim.verdict == "disagrees")
-    assert not claim.cause or claim.cause in ledger.causes()
-    assert not claim.given or claim.verdict == "input"
-    if arithmetic:
-        most = max(0.5 * abs(claim.value), ledger.half_ulp(claim.printed))
-        assert 0 < claim.tolerance <= most
-        usual = ledger.half_ulp(claim.corrected or claim.printed)
-        assert claim.reason or claim.tolerance == usual
-    elif not claim.limit:
-        assert not claim.reason
+    if claim.condition:
+        assert re.fullmatch(r"(>=|<=|>|<) [-+\d.e]+", claim.condition)
+    # A sentence needs its words.
+    assert claim.says or claim.printed or claim.verdict is None
+    match claim:
+        case ledger.Contradicts():
+            assert claim.proof
+            assert claim.cause in ledger.causes()
+            assert bool(claim.corrected) != (0 < claim.within < math.inf)
+        case ledger.Possible():
+            assert claim.chosen or claim.assumes
+        case ledger.Open():
+            assert claim.found
+            assert claim.decides
+            assert claim.compared == (0 < claim.within < math.inf)
+            assert not claim.note, "what was found says it"
 
 
 @pytest.mark.parametrize(
     ("id", "value", "options", "message"),
     [
-        ("table-5.6/E", 1.31, {}, r"claim table-5\.6/E, .*: printed 1\.3237 MPa, recomputed 1.31 "),
-        ("section-3.2.1/d2", 50, {}, r"printed 84, corrected to 42, recomputed 50 in"),
-        ("table-5.1/square-4X/T_z", 1, {}, r": printed \S+ µm, corrected to 36007\.5 µm, recom"),
-        ("table-9.9/x", 1.0, {}, "id must name a claim"),
+        (
+            "table-5.6/E",
+            1.31,
+            {},
+            r"E, .*: printed 1\.3237 MPa, recomputed 1.31 .* “poss",
+        ),
+        (
+            "section-3.2.1/d2",
+            50,
+            {},
+            r"84, recomputed 50 .*contradicts.* within 0\.5 of 42",
+        ),
+        ("section-3.2.1/d2", 84, {}, "it does not contradict"),
+        ("section-5.1/zoom-ratio", 15.6, {}, "“follows”, but it differs by more than the rounding"),
+        ("section-5.6/maxima", 2, {}, r"“open”, but it is not within 0\.015 of 3"),
+        ("table-5.7/mean", 1.28, {"interval": (1.2, 1.27)}, "must contain its value"),
+        ("table-5.7/mean", 1.25, {"interval": (1.2, 1.27)}, "does not contain the printed number"),
+        ("table-5.1/circle-1X/f", 130000.0, {}, "“setting”, but its interval does not contain"),
+        ("table-9.9/x", 1.0, {}, "id must name an entry"),
         ("table-5.6/E", math.nan, {}, "must be finite"),
-        ("table-5.6/E", 1.3237, {"interval": (2.0, 3.0)}, "must contain its value"),
-        ("table-5.7/mean", 1.28, {}, "needs an interval"),
         ("table-5.6/F", 197.0, {}, "not compared"),
     ],
 )
@@ -151,49 +157,35 @@ def test_check_refuses_wrong_numbers(id, value, options, message):
         ledger.check(id, value, **options)
 
 
-def test_rule_of_corrected_claim_judges_printed_number():
-    rule = make(verdict="disagrees", corrected="7.5", unit="µm").rule
-    text = "the printed number must lie within 0.05 µm of the recomputed one; 7.5 µm is proven"
-    assert rule == text
-    rule = make().rule
-    assert rule == "the recomputed number must lie within 0.005 of the printed number"
-
-
-def test_wrong_printed_modulus_fails(monkeypatch):
-    """The claim on Table 5.5 has a wide tolerance, so that its printed number is that of 5.6."""
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"verdict": "agrees"}, "verdict of table-5.6/w_d must be one of follows"),
+        ({"star": "x"}, "table-5.6/w_d must be a Follows: .* 'star'"),
+        ({"verdict": "open", "found": "f"}, "table-5.6/w_d must be a Open: .* 'decides'"),
+        ({"printed": "121.30"}, ""),
+    ],
+)
+def test_wrong_entry_fails(monkeypatch, change, message):
     entries = dict(ledger._read("claims.toml"))
-    entries["table-5.6/E"] = entries["table-5.6/E"] | {"printed": "1.3337"}
+    entries["table-5.6/w_d"] = entries["table-5.6/w_d"] | change
     monkeypatch.setattr(ledger, "_read", lambda name: entries)
-    changed = ledger.claims.__wrapped__()
-    assert changed["section-5.6/E-from-table-5.5"].printed == "1.3337"
-    verdict, objection = ledger.check_stated_verdict(changed["table-5.6/E"], *[1.32372] * 3)
-    assert (verdict, objection) == ("cannot tell", "cannot tell, but the book says agrees")
+    if message:
+        with pytest.raises(ValueError, match=message):
+            ledger.claims.__wrapped__()
+    else:  # a printed number that is copied wrong
+        assert ledger.claims.__wrapped__()["table-5.6/w_d"].objection(*[121.217] * 3)
 
 
 def test_mismatch_is_recorded_on_request(monkeypatch):
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     said = ledger.check("table-5.6/w_d", 120.0).verdict
-    assert said == "disagrees: disagrees, but the book says agrees"
+    assert said == "follows: it differs by more than the rounding of the printed numbers"
 
 
-def test_tolerances_of_table_5_1_are_95_percent_quantiles():
-    """All its lengths have five digits; M is T_op/f, d is f²/T_op, T_z is f + d."""
-    rng = np.random.default_rng(0)
-    for column in ("circle-1X", "circle-4X", "square-1X", "square-4X"):
-        entry = {k: ledger.claim(f"table-5.1/{column}/{k}") for k in ("M", "T_op", "f", "d", "T_z")}
-        right = {k: float(one.corrected or one.printed) for k, one in entry.items()}
-        # Of the lengths five digits are known; a T_z that is corrected has no rounding of its own.
-        half = {k: 0.5 * 10.0 ** (math.floor(math.log10(abs(v))) - 4) for k, v in right.items()}
-        half["M"] = ledger.half_ulp(entry["M"].printed)
-        half["T_z"] *= not entry["T_z"].corrected
-        off = {k: width * rng.uniform(-1, 1, 100_000) for k, width in half.items()}
-        t_op, f = right["T_op"], right["f"]
-        tube, focal = t_op + off["T_op"], f + off["f"]
-        draws = {"M": tube / focal - t_op / f, "d": focal**2 / tube - f**2 / t_op}
-        draws["T_z"] = focal - f + off["d"]
-        for name, drawn in draws.items():
-            limit = np.quantile(np.abs(drawn + off[name]), 0.95)
-            assert entry[name].tolerance == pytest.approx(limit, rel=0.06), (column, name)
+def test_number_that_stands_twice_is_the_same():
+    printed = {name: ledger.claim(name).printed for name in ("table-5.6/E",)}
+    assert ledger.claim("section-5.6/E-from-table-5.5").printed == printed["table-5.6/E"]
 
 
 def test_records_are_written_and_read(tmp_path):
@@ -208,7 +200,8 @@ def test_records_are_written_and_read(tmp_path):
         assert list(ledger.summary("table-5.6").index) == ["table-5.6/E"]
         table = ledger.scorecard(tmp_path / "claims").set_index("claim")
         assert table.loc["table-5.6/E", "recomputed"] == "1.32371"
-        assert table["verdict"].isin(ledger.VERDICTS).all()
+        assert table["verdict"].isin(ledger.ORDER).all()
+        assert table.loc["table-5.6/zeta", "explanation"].startswith("Proof: ")
         (tmp_path / "claims" / "06.json").write_text((tmp_path / "claims" / "05.json").read_text())
         with pytest.raises(ValueError, match="recorded twice"):
             ledger.read_records(tmp_path / "claims")
@@ -229,7 +222,7 @@ def test_records_are_written_and_read(tmp_path):
     ],
 )
 def test_number_is_shown_to_its_uncertainty(value, low, high, digits, text):
-    record = ledger.Record("x", value, low, high, "px", "agrees", digits)
+    record = ledger.Record("x", value, low, high, "px", "follows", digits)
     assert str(record) == text
     noise = 1 + 2e-7  # what another machine changes
     moved = replace(record, value=noise * value, low=noise * low, high=noise * high)
@@ -238,23 +231,23 @@ def test_number_is_shown_to_its_uncertainty(value, low, high, digits, text):
 
 @pytest.mark.parametrize("claim", [c for c in CLAIMS if c.compared], ids=lambda claim: claim.id)
 def test_every_claim_fails_for_some_planted_number(claim):
-    """No claim is true by construction: some planted number changes its verdict or its pin."""
-    size = abs(claim.value) or 1.0
+    """No claim is true by construction: a number far from the right one does not pass."""
+    is_open = isinstance(claim, ledger.Open)
+    size = max(abs(claim.recomputed), 3 * claim.within) if is_open else abs(claim.value)
     planted = (0.0, -size, 0.4 * size, 2.1 * size, 100 * size)
-    assert any(ledger.check_stated_verdict(claim, x, x, x)[1] for x in planted)
-    if claim.fitted or claim.given or claim.star:
-        turned = {ledger.judge(claim, x, x, x) for x in planted}
-        assert turned & {"disagrees", "cannot tell"}, turned
+    failed = sum(bool(claim.objection(x, x, x)) for x in planted)
+    assert failed >= (2 if is_open or claim.condition else 4)
 
 
 def test_causes_and_claims_correspond():
-    assert {claim.cause for claim in CLAIMS} - {""} == set(ledger.causes())
+    causes = {claim.cause for claim in CLAIMS if isinstance(claim, ledger.Contradicts)}
+    assert causes == set(ledger.causes())
 
 
 def test_errata_name_existing_claims_and_tests():
     for name, entry in ledger.errata().items():
         assert ("reading" in entry) == (entry["origin"] == "A matter of reading"), name
-        assert all(id in ledger.claims() for id in entry.get("claims", "").split()), name
+        assert all(ledger.claim(id) for id in entry.get("claims", "").split()), name
         assert (ROOT / entry["test"]).is_file(), name
     origins = {"Certain", "Probably printing or text recognition", "A matter of reading"}
     assert {entry["origin"] for entry in ledger.errata().values()} == origins

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHECKS = """
 import json, pathlib
 path = pathlib.Path(record)
-found = [{"verdict": "agrees", "notebook": path.stem}, {"verdict": "result"}]
+found = [{"verdict": "follows", "notebook": path.stem}, {"verdict": "result"}]
 path.write_text(json.dumps(found)) if record else None
 """
 

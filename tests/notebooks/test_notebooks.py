@@ -106,10 +106,13 @@ def test_compared_claims_are_recorded_with_their_verdict(claims_folder: Path) ->
         if not claim.compared:
             assert claim.id not in records, f"{claim.id} is recorded but not compared"
         else:
-            assert claim.id in records, f"{claim.id} is {claim.verdict} but no notebook records it"
+            assert claim.id in records, f"{claim.id} is {claim.label} but no notebook records it"
             found = records[claim.id]
-            assert found.verdict == claim.verdict
-            assert ledger.judge(claim, found.value, found.low, found.high) == claim.verdict
+            assert found.verdict == claim.label
+            assert claim.objection(found.value, found.low, found.high) == ""
+    for setting in ledger.settings().values():
+        recovered = setting.id.startswith("table-5.1") and not setting.id.endswith("/d")
+        assert (setting.id in records) == recovered, setting.id
 
 
 def test_notebooks_have_no_warnings_and_axes_have_units(claims_folder: Path) -> None:
