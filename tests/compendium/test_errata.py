@@ -12,6 +12,7 @@ import sympy as sp
 from scipy.spatial.transform import Rotation
 
 from compendium import ledger, thesis
+from compendium.experiments import chapter_3
 from microlib.curvature import hk_labels
 from microlib.membrane import elastic_modulus
 
@@ -209,7 +210,7 @@ def slope_of_ramp(sign: int) -> bool:
 def saddle_ridge(gaussian_sign: int) -> bool:
     """A surface with H < 0 and this sign of K has the label of a saddle ridge in Table 3.1."""
     label = hk_labels([-1.0], [0.5 * gaussian_sign], h_zero=0.0, k_zero=0.0)[0]
-    return int(label) == printed("table-3.1/saddle-ridge")
+    return chapter_3.TABLE_3_1[int(label) - 1] == "saddle ridge"
 
 
 ROW_PRINTED = ("u*X", "v*Y", "v", "-u*X", "v*Y")
