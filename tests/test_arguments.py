@@ -40,12 +40,12 @@ SIGNED = {
 MAY_BE_ZERO = SIGNED | {
     "blur", "bright", "dark", "delay", "delta", "force", "h_zero", "increment", "jitter",
     "k", "k_zero", "largest", "latency", "noise", "poisson_ratio", "pressure", "pretension",
-    "rim_inset", "rng", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
+    "rng", "sigma", "std", "step", "threshold", "unevenness", "vignetting",
 }  # fmt: skip
 #: Further numbers that are out of the range of an argument, in every function.
 OUT_OF_RANGE: dict[str, float] = {
     "band": 1.0, "bright": 255.5, "dark": 255.5, "degree": 3, "inflation": 0.9,
-    "level": 1.0, "poisson_ratio": 0.6, "rim_inset": 0.6, "span": 1.2,
+    "level": 1.0, "poisson_ratio": 0.6, "span": 1.2,
     "terms": 21, "tilt": 4.0, "unevenness": 0.6, "vignetting": 1.1,
     "window": 4,  # not odd
 }  # fmt: skip

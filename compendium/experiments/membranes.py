@@ -33,14 +33,13 @@ from microlib.membrane import (
 )
 
 #: Flat discs with a clamped rim. Their pressure is F/(π a²), as in the thesis, unless it is given.
-#: The stretch of 2 % and the inset of 5 % are examples and were not measured.
+#: The stretch of 2 % is an example and was not measured.
 DISCS: dict[str, dict[str, Any]] = {
     "neo-Hooke": {},
     "Hooke": {"law": "hooke"},
     "neo-Hooke, no pressure": {"pressure": 0.0},
     "Hooke, no pressure": {"law": "hooke", "pressure": 0.0},
     "stretched by 2 % before": {"pretension": 0.02},
-    "rim drawn in by 5 %": {"rim_inset": 0.05},
 }
 #: Forces on the discs, in modulus × thickness × radius. Dimples of most discs are a tenth to a half
 #: of the radius deep.
@@ -51,7 +50,7 @@ BLADE = (thesis.PROBE_WIDTH, 2.0)
 EGG = 600.0
 LAWS = ("neo-hooke", "hooke", "mooney-rivlin")
 #: Priors of the quantities that the thesis does not print. Each is uniform between two limits:
-#: lengths in µm, stretches and inset as in `microlib.membrane`, pressure below a disc in F/(π a²).
+#: lengths in µm, stretches as in `microlib.membrane`, pressure below a disc in F/(π a²).
 #: The laws have equal probabilities, ln E is uniform, and the place of the crest is uniform over
 #: `crest_reach`.
 PRIORS: dict[str, tuple[float, float]] = {
@@ -61,7 +60,6 @@ PRIORS: dict[str, tuple[float, float]] = {
     "inflation": (1.0, 1.1),
     "pressure": (0.0, 1.0),
     "pretension": (0.0, 0.05),
-    "rim_inset": (0.0, 0.05),
 }
 #: Height in px within which a crest is level, the resolution of the image.
 _LEVEL = 1.0
@@ -218,8 +216,7 @@ def modulus_posterior(
     -------
     pandas.DataFrame
         A row each draw: modulus E (MPa), law, thickness and probe_half_width (µm), rim_radius (µm),
-        and capsule_radius (µm) and inflation of a capsule, or pressure, pretension and rim_inset of
-        a disc.
+        and capsule_radius (µm) and inflation of a capsule, or pressure and pretension of a disc.
 
     Notes
     -----
@@ -259,7 +256,7 @@ def modulus_posterior(
 
 def _solved_states(membrane: str, law: str, crest: tuple[float, float]) -> tuple[NDArray, NDArray]:
     """Return points of the unit cube with a solved state, and ln w_d/L and ln a/L of the states."""
-    unit = qmc.Halton(3 if membrane == "capsule" else 5, seed=0).random(_STATES[membrane])
+    unit = qmc.Halton(3 if membrane == "capsule" else 4, seed=0).random(_STATES[membrane])
     rows = pd.DataFrame(_inputs(membrane, unit, crest)).to_dict("records")
     lengths = np.array([_lengths(membrane, law, row) for row in rows])
     solved = np.isfinite(lengths[:, 0])
@@ -278,13 +275,12 @@ def _inputs(membrane: str, unit: NDArray, crest: tuple[float, float]) -> dict[st
         least, most = PRIORS["capsule_radius"]
         names = {"inflation": inflation, "load": load}
     else:
-        swing, below, stretch, inset, width = unit.T
+        swing, below, stretch, width = unit.T
         least, most = crest
         names = {
             "load": np.exp(_between(tuple(np.log(_DISC_LOADS)), swing)),
             "pressure": _between(PRIORS["pressure"], below),
             "pretension": _between(PRIORS["pretension"], stretch),
-            "rim_inset": _between(PRIORS["rim_inset"], inset),
         }
     return names | {"slenderness": _between((low / most, high / least), width)}
 

@@ -35,7 +35,7 @@ def direct(row: pd.Series) -> float:
         sizes["capsule_radius"] = row.capsule_radius
         return capsule_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes).modulus
     pressure = row.pressure * thesis.FORCE / (np.pi * row.rim_radius**2)
-    before = {"pretension": row.pretension, "rim_inset": row.rim_inset, "pressure": pressure}
+    before = {"pretension": row.pretension, "pressure": pressure}
     return disc_modulus(thesis.FORCE, row.rim_radius, DEPTH, **sizes, **before)
 
 
@@ -55,7 +55,7 @@ def test_posterior_weights_agree_with_rejection_sampling(monkeypatch, crest):
     """On a membrane with a known formula, beside draws of the priors that hit the depth."""
 
     def solved(membrane: str, law: str, reach: tuple[float, float]) -> tuple:
-        unit = np.random.default_rng(0).random((150, 5))
+        unit = np.random.default_rng(0).random((150, 4))
         inputs = membranes._inputs(membrane, unit, reach)
         shape = depth_of_a_toy(inputs["load"], inputs["slenderness"])
         return unit, np.log(np.column_stack([shape, np.ones(150)]))

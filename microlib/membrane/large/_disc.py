@@ -32,8 +32,8 @@ from microlib.membrane.large._solver import (
 class _Disc:
     """The dimensionless problem: lengths in rim radii a, forces in E h a.
 
-    The state has three rows, each divided by its scale: the displacement r − λ₀X, the horizontal
-    tension H of the meridian per radian, and the height z.
+    The state has three rows, each divided by its scale: the displacement r − λ₀X, which is zero at
+    both edges, the horizontal tension H of the meridian per radian, and the height z.
     """
 
     law: Law
@@ -41,7 +41,6 @@ class _Disc:
     pressure: float
     prestretch: float  # λ₀, before contact
     inner: float  # undeformed radius of the probe's edge
-    outer: float  # undeformed radius of the rim
     #: If given, force and pressure are initial values, and a common factor of both is unknown.
     depth: float | None = None
 
@@ -49,21 +48,16 @@ class _Disc:
     def scales(self) -> tuple[float, float, float]:
         """Scales of the displacement, of the horizontal tension and of the height."""
         total = self.force + np.pi * self.pressure  # of the forces on the disc
-        rim_stretch = 1 / self.outer
         # Without pretension w/a grows as (F/(E h a))^⅓, see the closed form of `indent_disc`; the
         # displacement along the radius grows as the square of the slope.
         height = max(total ** (1 / 3), np.finfo(float).eps)
-        if rim_stretch < 1:
-            # A slack disc is as deep as its meridian is long, for any small force.
-            height += np.sqrt(self.outer**2 - 1)
-        tension = self.law.equibiaxial_stress(max(rim_stretch, 1.0)) + total / height
-        # A scale below 1e-8 would resolve rounding.
-        displacement = max(height**2, abs(self.prestretch - rim_stretch), 1e-8)
+        tension = self.law.equibiaxial_stress(self.prestretch) + total / height
+        displacement = max(height**2, 1e-8)  # a scale below 1e-8 would resolve rounding
         return displacement, tension, total / tension + 1e-12
 
     def undeformed(self, t: Array) -> tuple[Array, Array]:
         """Return X(t) and dX/dt, in equal ratios as the dimple is about logarithmic in r."""
-        ratio = np.log(self.outer / self.inner)
+        ratio = -np.log(self.inner * self.prestretch)
         x = self.inner * np.exp(ratio * t)
         return x, ratio * x
 
@@ -91,10 +85,8 @@ class _Disc:
 
     def boundary_residual(self, left: Array, right: Array, k: Any = None) -> Array:
         """Return the residual of r at the probe, of r and z at the rim, and of a given depth."""
-        displacement, _, height = self.scales
-        rim = (1 - self.outer * self.prestretch) / displacement
-        depth = [] if self.depth is None else [left[2] + self.depth / height]
-        return np.array([left[0], right[0] - rim, right[2], *depth])
+        depth = [] if self.depth is None else [left[2] + self.depth / self.scales[2]]
+        return np.array([left[0], right[0], right[2], *depth])
 
     def initial_guess(self) -> Guess:
         """Return the shape of small slopes under the load, at an even stretch.
@@ -102,16 +94,15 @@ class _Disc:
         H is that of the prestretch, proportional to X, and that of the closed form of `indent_disc`
         for the depth `height`, about height²/4 X^⅓.
         """
-        displacement, tension, height = self.scales
+        _, tension, height = self.scales
         t = np.linspace(0.0, 1.0, 60)
         x, _ = self.undeformed(t)
-        vertical = self.force / (2 * np.pi) - self.pressure * x**2 / (2 * self.outer**2)
-        even = self.law.equibiaxial_stress(max(1 / self.outer, 1.0))
+        vertical = self.force / (2 * np.pi) - self.pressure * (x * self.prestretch) ** 2 / 2
+        even = self.law.equibiaxial_stress(self.prestretch)
         horizontal = even * x + (tension - even) / 4 * np.cbrt(x)
         z = cumulative_trapezoid(np.clip(vertical / horizontal, -2, 2), x, initial=0.0)
-        rim = (1 - self.outer * self.prestretch) / displacement
         k = None if self.depth is None else np.zeros(1)
-        return t, np.array([rim * t, horizontal / tension, (z - z[-1]) / height]), k
+        return t, np.array([np.zeros(t.size), horizontal / tension, (z - z[-1]) / height]), k
 
     def of_modulus(self, modulus: float) -> _Disc:
         """Return the problem of a disc of another modulus under the same load."""
@@ -142,7 +133,6 @@ def indent_disc(
     law: str = "neo-hooke",
     pressure: float | str = "balance",
     pretension: float = 0.0,
-    rim_inset: float = 0.0,
 ) -> MembraneState:
     r"""Shape and stress of a clamped flat disc under a bonded flat-ended probe.
 
@@ -151,7 +141,7 @@ def indent_disc(
     force : float
         Force F of the probe, in µN; positive.
     rim_radius : float
-        Radius a of the rim under the force, in µm.
+        Radius a of the clamped rim, in µm.
     modulus : float
         Elastic modulus E at small strain, in MPa.
     thickness : float
@@ -169,9 +159,6 @@ def indent_disc(
     pretension : float, optional
         Equibiaxial stretch of the membrane before contact, minus 1. The part below the probe keeps
         this stretch.
-    rim_inset : float, optional
-        Fraction of its radius by which the rim has moved inwards since contact, in [0, 0.5].
-        `rim_radius` is the radius after that.
 
     Returns
     -------
@@ -206,9 +193,8 @@ def indent_disc(
 
     with the nominal stresses :math:`N_i = \partial W/\partial\lambda_i` (derived here; the last
     equation is solved for :math:`\lambda_1`). The edges are at :math:`r = c`, :math:`X = c/(1 +
-    \text{pretension})` and at :math:`r = a`, :math:`X = a/((1 + \text{pretension})(1 -
-    \text{rim\_inset}))`. The hoop stress is never negative, because the membrane wrinkles (relaxed
-    energy of tension-field theory).
+    \text{pretension})` and at :math:`r = a`, :math:`X = a/(1 + \text{pretension})`. The hoop stress
+    is never negative, because the membrane wrinkles (relaxed energy of tension-field theory).
 
     The energies per volume, with :math:`e_i = \lambda_i - 1`:
 
@@ -236,7 +222,7 @@ def indent_disc(
         as_scalar("modulus", modulus, above=0),
         as_scalar("thickness", thickness, above=0),
     )
-    support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
+    support = {"pressure": pressure, "pretension": pretension}
     material = constitutive_law(law, poisson_ratio)
     free = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
     disc = free.of_modulus(stiffness)
@@ -263,7 +249,6 @@ def disc_modulus(
     law: str = "neo-hooke",
     pressure: float | str = "balance",
     pretension: float = 0.0,
-    rim_inset: float = 0.0,
 ) -> float:
     """Elastic modulus of a clamped flat disc from its depth under a force.
 
@@ -272,10 +257,10 @@ def disc_modulus(
     force : float
         Force F, in µN.
     rim_radius : float
-        Radius a of the rim under the force, in µm.
+        Radius a of the clamped rim, in µm.
     depth : float
         Depth w_d of the probe's edge below the rim, in µm.
-    thickness, probe_half_width, poisson_ratio, law, pressure, pretension, rim_inset
+    thickness, probe_half_width, poisson_ratio, law, pressure, pretension
         As for `indent_disc`.
 
     Returns
@@ -298,7 +283,7 @@ def disc_modulus(
     Notes
     -----
     The equations of `indent_disc` are solved for a given depth and unknown F/(E h a). The model
-    assumes that the whole rim is clamped and that pressure, pretension and inset are known.
+    assumes that the whole rim is clamped and that pressure and pretension are known.
 
     Examples
     --------
@@ -311,7 +296,7 @@ def disc_modulus(
     """
     load, a = as_scalar("force", force, above=0), as_scalar("rim_radius", rim_radius, above=0)
     target, h = as_scalar("depth", depth, above=0), as_scalar("thickness", thickness, above=0)
-    support = {"pressure": pressure, "pretension": pretension, "rim_inset": rim_inset}
+    support = {"pressure": pressure, "pretension": pretension}
     material = constitutive_law(law, poisson_ratio)
     disc = _dimensionless_disc(load, a, h, probe_half_width, material, **support)
     if disc.prestretch == 1:  # the tension of a stretched disc carries the force at any depth
@@ -338,7 +323,6 @@ def _dimensionless_disc(
     """Return the problem of a disc of modulus 1 MPa, rim radius a and thickness h under a load."""
     c = as_scalar("probe_half_width", probe_half_width, above=0, below=a)
     prestretch = 1 + as_scalar("pretension", support["pretension"], least=0)
-    inset = as_scalar("rim_inset", support["rim_inset"], least=0, most=0.5)
     pressure = support["pressure"]
     if not isinstance(pressure, str):
         pressure = as_scalar("pressure", pressure, least=0)
@@ -352,5 +336,4 @@ def _dimensionless_disc(
         pressure=pressure * a / h,
         prestretch=prestretch,
         inner=c / a / prestretch,
-        outer=1 / (prestretch * (1 - inset)),
     )
