@@ -29,7 +29,7 @@ from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import mixed_texture
 from tests.calibration.scenes import ruled
-from tests.io.make import read_ply
+from tests.io.make import read_ply, varied_times
 from tests.laws import unlike
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -420,6 +420,33 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
         level = 255 * frame[:30].mean() / frames[0].max()
         assert shown[:30].mean() == pytest.approx(level, abs=6)
     assert not film.read()[0]
+
+
+def test_track_takes_the_times_of_the_film_unless_a_rate_is_given(tmp_path, capsys):
+    way = [(60 + 2.5 * k, 60) for k in range(10)]
+    frames = texture_sequence(way, np.random.default_rng(0))
+    size = frames[0].shape[::-1]
+    path = tmp_path / "film.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 20, size, False)
+    for frame in frames:
+        writer.write(np.clip(frame, 0, 255).astype(np.uint8))
+    writer.release()
+    ticks = [256, 768] * 5  # a second has 10 240
+    varied_times(path, ticks)
+    line, out = f"track {path} --box 60 60 49 49", tmp_path / "track.csv"
+    assert status(f"{line} --video", out) == 0
+    printed = capsys.readouterr()
+    assert "times of the frames (the file)" in printed.out
+    assert not printed.err
+    true = np.cumsum([0, *ticks[:-1]]) / 10240
+    np.testing.assert_allclose(pd.read_csv(out)["time_s"], true, atol=1e-6)
+    rate = cv2.VideoCapture(str(tmp_path / "track_look.mp4")).get(cv2.CAP_PROP_FPS)
+    assert rate == pytest.approx(9 / true[-1], rel=0.01)
+    assert status(f"{line} --rate 500 --overwrite", out) == 0
+    printed = capsys.readouterr()
+    assert "rate 500 frames/s (given)" in printed.out
+    assert printed.err == f"note: the file has {9 / true[-1]:.4g} frames/s: --rate 500 is used\n"
+    np.testing.assert_allclose(pd.read_csv(out)["time_s"], np.arange(10) / 500)
 
 
 def test_truncated_film_keeps_the_rows_before_its_end(tmp_path, capsys):

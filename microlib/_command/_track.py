@@ -26,10 +26,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mask", metavar="FILE", help=mask)
     motions = ["translation", "affine", "homography"]
     parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
-    parser.add_argument("--rate", type=float, help="frames per second, for a column of times")
+    rate = "frames per second, for the column of times; by default times are those of the file"
+    parser.add_argument("--rate", type=float, help=rate)
     options.add_scales(parser, "pixel_size")
     options.add_axes(parser)
-    film = "also write a film that marks the part, with 25 frames/s unless --rate is given"
+    film = "also write a film that marks the part, with 25 frames/s if no time is known"
     parser.add_argument("--video", action="store_true", help=film)
 
 
@@ -51,6 +52,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
     rows, lost = [next(each)], 0
     if a.rate is not None:
         session.say(f"rate {a.rate:g} frames/s (given)")
+    elif "time_s" in rows[0]:
+        session.say("times of the frames (the file)")
     stop: BaseException | None = None
     with (
         session.open_lines("table") as file,
@@ -69,9 +72,16 @@ def run(a: argparse.Namespace, session: Session) -> End:
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
     track = pd.DataFrame(rows)
+    rate, last = a.rate or 25, frames.time(len(rows) - 1)
+    if last:
+        from_file = (len(rows) - 1) / last
+        if a.rate is None:
+            rate = from_file
+        elif abs(from_file / rate - 1) > 0.01:
+            session.note(f"the file has {from_file:.4g} frames/s: --rate {rate:g} is used")
     session.write("look.png", picture(lambda: tracking.plot_track(track, next(iter(frames)))))
     if a.video:
-        session.write("look.mp4", partial(_write_film, frames, track, a.rate or 25))
+        session.write("look.mp4", partial(_write_film, frames, track, rate))
     summary = f"lost in {lost} of {len(rows)} frames"
     physical = ", x_um and y_um in µm" * (size is not None)
     session.say(f"{summary}; one row per frame, lengths in px{physical}")

@@ -132,6 +132,7 @@ def _has_jpeg_end(data: bytes) -> bool:
 
 def open_film(path: Path) -> Stack:
     """Return the frames of a video; the number in its header is checked when they are read."""
+    times: list[float] = []  # of the frames that were read, s
     film = cv2.VideoCapture(str(path))
     if not film.isOpened():
         raise ValueError(f"frames cannot be read from {path}: not a video that OpenCV can read")
@@ -141,6 +142,8 @@ def open_film(path: Path) -> Stack:
     def read() -> Iterator[NDArray]:
         film, count = cv2.VideoCapture(str(path)), 0
         while (answer := film.read())[0]:
+            if count == len(times):
+                times.append(film.get(cv2.CAP_PROP_POS_MSEC) / 1000)
             yield cv2.cvtColor(answer[1], cv2.COLOR_BGR2RGB)
             count += 1
         if count < max(stated, 1):
@@ -149,6 +152,14 @@ def open_film(path: Path) -> Stack:
                 "be read"
             )
 
+    def time(number: int) -> float | None:
+        risen = number == 0 or times[number] > times[number - 1]
+        return times[number] - times[0] if risen else None
+
     return open_stack(
-        read, name=lambda k: f"frame {k} of {path}", count=stated or None, files=(path,)
+        read,
+        name=lambda k: f"frame {k} of {path}",
+        time=time,
+        count=stated or None,
+        files=(path,),
     )

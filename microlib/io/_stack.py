@@ -30,6 +30,9 @@ class Stack(Result, Iterable[Image]):
         The first frame, which is decoded when the stack is opened.
     name : callable
         Returns the name of a frame in error messages from its number.
+    time : callable
+        Returns the time of a frame since the first one, s, from its number, as soon as the frame
+        was read; None if it is not known.
     count : int or None
         Number of frames; None if it is known only after they were read.
     axis : str
@@ -50,6 +53,7 @@ class Stack(Result, Iterable[Image]):
     frames: Iterable[Image]
     first: Image
     name: Callable[[int], str] = field(default_factory=lambda: "frames[{}]".format)
+    time: Callable[[int], float | None] = field(default_factory=lambda: lambda number: None)
     count: int | None = None
     axis: str = ""
     positions: Array | None = None

@@ -13,7 +13,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from microlib.io._metadata import tiff_scale
+from microlib.io._metadata import tiff_scale, tiff_times
 from microlib.io._stack import (
     Choice,
     Stack,
@@ -61,6 +61,7 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
         _check_chain(tiff)
         pages, axis = _select_pages(tiff, choice)
         size, positions = tiff_scale(tiff, path.name, len(pages), wanted)
+        times = tiff_times(tiff, len(pages), wanted) if axis == "T" else None
 
     def read() -> Iterator[NDArray]:
         with ExitStack() as opened:
@@ -76,6 +77,7 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
     return open_stack(
         read,
         name=lambda k: f"page {k} of {path}",
+        time=lambda k: None if times is None else float(times[k]),
         count=len(pages),
         axis=axis,
         positions=None if axis == "T" else positions,  # frames along time have one position

@@ -35,11 +35,12 @@ def track_each(
     frames : iterable of array_like, shape (H, W) or (H, W, 3)
         Frames one after another, as a list, a stack or `microlib.io.read_frames` gives them; the
         first one shows the template. They are read one at a time, and may be wrapped, by ``tqdm``
-        for example.
+        for example; the times of a `microlib.io.Stack` are then lost.
     box, motion, kalman, mask
         As for `ESMTracker`.
     rate : float, optional
-        Frames per second, for the column ``time_s``.
+        Frames per second, for the column ``time_s``. By default the times are those that the file
+        of a `microlib.io.Stack` has, if it has any.
     pixel_size : float, optional
         Side of a pixel in the object plane, µm, for the columns ``x_um`` and ``y_um``: the
         displacement of the center since the first frame.
@@ -68,6 +69,13 @@ def track_each(
     0.1 s: 10.0 µm
     """
     interval = None if rate is None else 1 / as_scalar("rate", rate, above=0)
+    time_of = getattr(frames, "time", None)
+
+    def clock(number: int) -> float | None:
+        if interval is not None:
+            return number * interval
+        return None if time_of is None else time_of(number)
+
     size = None if pixel_size is None else as_scalar("pixel_size", pixel_size, above=0)
     if not np.iterable(frames):
         raise ValueError(f"frames must be images one after another, got {frames!r:.80}")
@@ -78,12 +86,13 @@ def track_each(
             tracker = ESMTracker(frame, box, motion, mask=mask)
             track = tracker.track(frame)
             start = track.center
+            timed = clock(number) is not None
             tracker.kalman = kalman  # it has nothing to predict in the first frame
         else:
             track = tracker.track(frame)
-        row: dict[str, Any] = {"frame": number} | (
-            {} if interval is None else {"time_s": number * interval}
-        )
+        row: dict[str, Any] = {"frame": number}
+        if timed:
+            row["time_s"] = clock(number)
         row |= track.to_dict()
         if size is not None:
             x, y = (size * (track.center - start)).tolist()

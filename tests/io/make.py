@@ -1,6 +1,7 @@
 """Writers of every kind of file, and a reader of meshes."""
 
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -68,6 +69,21 @@ def tiff(path: Path, frames: NDArray, **options: object) -> Path:
 def tiff_of(kind: str, folder: Path, frames: NDArray, axes: str = "ZYX", **options: object) -> Path:
     name, own = TIFFS[kind]
     return tiff(folder / name, frames, metadata={"axes": axes}, **own | options)
+
+
+def varied_times(path: Path, ticks: list[int]) -> Path:
+    """Give the frames of an MP4 that OpenCV wrote other durations of the same sum, in ticks."""
+    film = path.read_bytes()
+    at = film.index(b"stts") - 4  # the table of durations: its length, name, flags and entries
+    length = int.from_bytes(film[at : at + 4], "big")
+    entries = b"".join(struct.pack(">II", 1, tick) for tick in ticks)
+    table = struct.pack(">I4sII", 16 + len(entries), b"stts", 0, len(ticks)) + entries
+    varied = bytearray(film[:at] + table + film[at + length :])
+    for around in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        start = film.index(around) - 4
+        longer = int.from_bytes(film[start : start + 4], "big") + len(table) - length
+        varied[start : start + 4] = longer.to_bytes(4, "big")
+    return content(path, bytes(varied))
 
 
 def pages(path: Path, frames: NDArray, **options: object) -> Path:

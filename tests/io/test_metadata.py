@@ -158,6 +158,37 @@ def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
     assert read_frames(path, axis=axis).positions == pytest.approx(np.array([4, 12, 22]))
 
 
+@pytest.mark.parametrize(
+    ("about", "times"),
+    [
+        ({"Plane": {"DeltaT": [7.0, 7.5, 9.0]}, "TimeIncrement": 9.0}, [0, 0.5, 2]),
+        ({"Plane": {"DeltaT": [7.0, 7.5, 9.0], "DeltaTUnit": ["ms"] * 3}}, [0, 5e-4, 2e-3]),
+        # Times that do not rise are no times of frames.
+        ({"Plane": {"DeltaT": [7.0, 7.0, 7.0]}, "TimeIncrement": 0.25}, [0, 0.25, 0.5]),
+        ({"TimeIncrement": 4.0, "TimeIncrementUnit": "min"}, [0, 240, 480]),
+        ({"TimeIncrement": 4.0, "TimeIncrementUnit": "fortnight"}, [None] * 3),
+        ({"TimeIncrement": 0.0}, [None] * 3),
+    ],
+)
+def test_times_of_a_film_are_those_of_its_ome_metadata(tmp_path, about, times):
+    film = read_frames(write_ome(tmp_path, **about | {"axes": "TYX"}))
+    assert [film.time(k) for k in range(3)] == pytest.approx(times)
+
+
+def test_times_of_a_film_belong_to_the_selected_channel(tmp_path):
+    film, times = np.zeros((3, 2, 8, 10), np.uint8), [0.0, 1.0, 4.0, 6.0, 9.0, 20.0]
+    about = {"axes": "TCYX", "Plane": {"DeltaT": times}}
+    found = read_frames(tiff(tmp_path / "a.ome.tif", film, metadata=about), channel=1)
+    assert [found.time(k) for k in range(3)] == pytest.approx([0, 5, 19])
+
+
+def test_times_of_an_imagej_film_are_even(tmp_path):
+    for axis, times in (("T", [0, 0.2, 0.4]), ("Z", [None] * 3)):
+        about = {"axes": f"{axis}YX", "finterval": 0.2}
+        film = read_frames(tiff(tmp_path / "a.tif", STACK, imagej=True, metadata=about))
+        assert [film.time(k) for k in range(3)] == pytest.approx(times)
+
+
 def test_positions_follow_the_numbers_of_the_planes(tmp_path):
     path = write_ome(tmp_path, Plane=planes([400.0, 100.0, 200.0], "µm"))
     edit_ome(path, r'TheZ="(\d)"', lambda found: f'TheZ="{(int(found[1]) - 1) % 3}"')

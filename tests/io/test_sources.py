@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, write_height_tiff
 from tests.io.conftest import COUNT
-from tests.io.make import Lazy, pictures, tiff
+from tests.io.make import Lazy, pictures, tiff, varied_times
 
 
 def read_stack(source: object, **options: bool | int) -> NDArray:
@@ -75,6 +75,25 @@ def test_video_is_read_also_beyond_the_frames_of_its_header(stack, tmp_path, nam
     assert reader.count == (COUNT if name == "a.avi" else None)
     assert len(found) == count
     assert np.abs(found - np.concatenate([stack] * times)).mean() < 10  # lossy compression
+
+
+def test_times_of_a_video_are_those_of_its_frames(stack, tmp_path):
+    path = write_film(tmp_path / "a.mp4", "mp4v", stack)
+    even = read_frames(path)
+    assert len(list(even)) == COUNT
+    assert [even.time(k) for k in range(COUNT)] == pytest.approx(np.arange(COUNT) / 25)
+    ticks = [256, 768] * (COUNT // 2) + [512] * (COUNT % 2)  # a second has 12 800
+    varied_times(path, ticks)
+    for options in ({}, {"region": (4, 4, 20, 20), "reduce": 2}):
+        film = read_frames(path, **options)
+        for k, _ in enumerate(film):
+            assert next(iter(film)) is not None  # nothing changes by another reading
+            assert film.time(k) == pytest.approx(sum(ticks[:k]) / 12800)
+
+
+def test_frames_without_times_have_none(stack, tmp_path):
+    for source in (stack, tiff(tmp_path / "a.tif", stack), iter(stack)):
+        assert read_frames(source).time(1) is None
 
 
 def test_reader_of_a_reader_equals_one_reader(stack, tmp_path):
