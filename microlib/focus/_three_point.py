@@ -17,8 +17,8 @@ from microlib.focus.common import (
     DepthMap,
     at_least_single,
     blur,
-    find_symmetry,
     halved,
+    peak_centers,
     peak_significance,
     shape_error,
 )
@@ -143,7 +143,7 @@ def three_point_depth(
     depth[significance.insignificant] = np.nan
     spacing = float(np.median(np.abs(np.diff(positions))))
     rough = _roughness(depth, positions, peaks.best)
-    bias = np.float32(_shape_error(peaks.profiles, positions, spacing))
+    bias = np.float32(_shape_error(peaks.profiles, positions))
     random = np.float32(np.ptp(positions)) * significance.random_error
     return DepthMap(
         depth=depth,
@@ -154,16 +154,19 @@ def three_point_depth(
     )
 
 
-def _shape_error(profiles: NDArray, positions: Array, spacing: float) -> float:
+def _shape_error(profiles: NDArray, positions: Array) -> float:
     """Return the bias of three-point peaks by the shape of the profiles, µm."""
     some = max(round(np.sqrt(profiles[0].size / 2000)), 1)
     profiles = profiles[:, ::some, ::some]
-    _, centers = find_symmetry(profiles, positions, spacing)
     best = np.clip(profiles.argmax(axis=0), 1, len(profiles) - 2)
     around = best + np.arange(-1, 2)[:, None, None]
     peaks = three_point_peak(np.take_along_axis(profiles, around, axis=0), best, positions)
     way = np.sign(positions[-1] - positions[0])
-    return float(np.hypot(*shape_error(way * peaks, way * centers, way * positions)))
+    biases = [
+        shape_error(way * peaks, way * centers, way * positions)
+        for centers in peak_centers(profiles, positions)
+    ]
+    return float(np.linalg.norm(biases))
 
 
 def _roughness(depth: NDArray, positions: Array, index: NDArray[np.uint16]) -> NDArray[np.float32]:

@@ -6,20 +6,19 @@ Nothing in this folder refers to either of them.
 from microlib.focus.common._depth_map import DepthMap
 from microlib.focus.common._filters import TINY, at_least_single, blur, doubled, halved, ratio
 from microlib.focus.common._planes import smooth_planes
+from microlib.focus.common._shape import peak_centers, shape_error
 from microlib.focus.common._significance import peak_significance
-from microlib.focus.common._symmetry import Symmetry, find_symmetry, shape_error
 from microlib.focus.common._threads import Spread, run_jobs
 
 __all__ = [
     "TINY",
     "DepthMap",
     "Spread",
-    "Symmetry",
     "at_least_single",
     "blur",
     "doubled",
-    "find_symmetry",
     "halved",
+    "peak_centers",
     "peak_significance",
     "ratio",
     "run_jobs",

@@ -15,14 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus.common import (
-    Spread,
-    Symmetry,
-    at_least_single,
-    find_symmetry,
-    halved,
-    shape_error,
-)
+from microlib.focus.common import Spread, at_least_single, halved, peak_centers, shape_error
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import PeakTracker, find_profiles
 from microlib.focus.multiscale._settings import FocusSettings
@@ -49,8 +42,6 @@ class Axis:
         Bias of a depth near each group by illumination drift, averaged frames.
     locking : float
         Largest peak-locking bias, towards the nearest averaged frame.
-    symmetry : Symmetry
-        The coordinate in which focus curves are symmetric, from which the frame coordinates follow.
     shape_error : (float, float)
         Bias of a depth by the shape of the peaks, averaged frames: constant, and between the
         frames.
@@ -63,16 +54,14 @@ class Axis:
     noise: float
     drift_bias: Array
     locking: float
-    symmetry: Symmetry
     shape_error: tuple[float, float]
 
     def micrometers(self, coordinates: NDArray) -> NDArray:
         """Return the positions of frame coordinates, within the stack."""
-        z, u = self.positions, self.symmetry.coordinate(self.positions)
-        first, unit = group_means(u, self.ends)[0], np.sign(u[-1] - u[0]) * self.spacing
-        low, high = np.float32(u.min()), np.float32(u.max())
-        found = np.clip(np.float32(first) + np.float32(unit) * coordinates, low, high)
-        return np.clip(self.symmetry.position(found), np.float32(z.min()), np.float32(z.max()))
+        z = self.positions
+        first, unit = group_means(z, self.ends)[0], np.sign(z[-1] - z[0]) * self.spacing
+        found = np.float32(first) + np.float32(unit) * coordinates
+        return np.clip(found, np.float32(z.min()), np.float32(z.max()))
 
     def averaged_frames(
         self, frames: Sequence[Image], rows: slice = slice(None)
@@ -115,24 +104,18 @@ def describe_axis(
     count, width = len(frames), peak_width(tiles, spread)
     fewer = max(count // max(round(width / settings.width), 1), 3)
     ends = np.arange(fewer + 1) * count // fewer
-    spacing = float(np.median(np.abs(np.diff(group_means(positions, ends)))))
-    noise = _noise(tiles, np.arange(count + 1))
-    profiles = find_profiles(few, count, few[0].shape, noise, settings).product
+    first, *_ = middles = group_means(positions, ends)
+    spacing, way = float(np.median(np.abs(np.diff(middles)))), np.sign(positions[-1] - positions[0])
+    profiles = find_profiles(
+        few, count, few[0].shape, _noise(tiles, np.arange(count + 1)), settings
+    ).product
     blocks = np.stack([halved(image) for image in profiles.profiles(slice(None))])
-    symmetry, centers = find_symmetry(blocks, positions, spacing)
-    u = symmetry.coordinate(positions)
-    if symmetry.bend and fewer < count:  # groups of equal length in the symmetric coordinate
-        number = (np.abs(u - u[0]) / spacing + 0.5).astype(int)
-        starts = np.unique(number, return_index=True)[1]
-        ends = np.append(starts, count) if len(starts) > 2 else ends
-    noise = _noise(tiles, ends)
-    if len(ends) <= count:
-        means = (averaged(few[start:end]) for start, end in pairwise(ends))
-        profiles = find_profiles(means, len(ends) - 1, few[0].shape, noise, settings).product
-    first, *_ = middles = group_means(u, ends)
-    way = np.sign(u[-1] - u[0])
+    center = way * (peak_centers(blocks, positions)[1] - first) / spacing
     coordinates = way * (middles - first) / spacing
-    center = way * (symmetry.coordinate(centers) - first) / spacing
+    noise = _noise(tiles, ends)
+    if fewer < count:
+        means = (averaged(few[start:end]) for start, end in pairwise(ends))
+        profiles = find_profiles(means, fewer, few[0].shape, noise, settings).product
     light = group_means(np.array([float(np.mean(tile)) for tile in tiles]), ends)
     width = max(width * float(np.median(np.abs(np.diff(positions)))) / spacing, 1.7)
     return Axis(
@@ -145,7 +128,6 @@ def describe_axis(
         drift_bias=illumination_drift_bias(light, min(0.4 * width, 3.0)),
         # Half a frame over the fourth power of the width: 0.4 to 0.7 on nine textures.
         locking=0.5 / width**4,
-        symmetry=symmetry,
         shape_error=_shape_error(profiles, coordinates, center),
     )
 

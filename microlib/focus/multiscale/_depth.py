@@ -85,8 +85,6 @@ def _enlarged(
         depth = axis.micrometers(full(filled) + full(relief, cv2.INTER_CUBIC))
         depth[full(unknown.astype(np.uint8), cv2.INTER_NEAREST) > 0] = np.nan
         error = full(refined.error) * np.float32(axis.spacing)
-        if axis.symmetry.bend:  # frame coordinates are not proportional to positions
-            error /= axis.symmetry.slope(depth)
         number = full(best, cv2.INTER_NEAREST)
         nearest = np.rint(np.interp(depth, axis.positions[order], order))
         frame = np.where(np.isfinite(depth), nearest, middle[number]).astype(np.int32)
