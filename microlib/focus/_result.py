@@ -29,14 +29,14 @@ class FocusResult(FlatResult):
         and relief that cannot be separated from noise (from the difference of the depths by
         horizontal and by vertical detail), slopes and steps, where a pixel may belong to either
         side, illumination that changes from frame to frame, objects too thin to be resolved, and
-        the bias by the shape of the peaks, both its part that is common to the whole map and the
-        part that changes between two frames. With other measures it covers the roughness of the
-        depth and a part of the same bias, but no other error that is smooth over ten pixels: where
-        all pixels lie equally far from a frame, the bias towards that frame remains (measured 1 µm
-        at a stated 0.2 to 0.45 µm, with a frame spacing of 10 µm). Below about 60×60 px no bias is
-        measured. With every measure it covers a peak that may be noise and a depth at an end of the
-        scan: each adds up to the standard deviation of a random depth, in quadrature. Errors of the
-        positions and the field curvature of the lens are never part of it.
+        the bias by the shape of the peaks, which is common to the whole map. With other measures it
+        covers the roughness of the depth and the same bias, but no other error that is smooth over
+        ten pixels: where all pixels lie equally far from a frame, the bias towards that frame
+        remains (measured 1 µm at a stated 0.2 to 0.45 µm, with a frame spacing of 10 µm). Below
+        about 60×60 px no bias is measured. With every measure it covers a peak that may be noise
+        and a depth at an end of the scan: each adds up to the standard deviation of a random depth,
+        in quadrature. Errors of the positions and the field curvature of the lens are never part of
+        it.
     confidence : ndarray of float32, shape (rows, cols)
         1 / (1 + (uncertainty / spacing of the frames)²), from 0 to 1; 0 where `depth` is NaN. The
         spacing is that of the averaged frames where "multiscale" averages.

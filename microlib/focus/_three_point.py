@@ -161,11 +161,7 @@ def _shape_error(profiles: NDArray, positions: Array) -> float:
     best = np.clip(profiles.argmax(axis=0), 1, len(profiles) - 2)
     around = best + np.arange(-1, 2)[:, None, None]
     peaks = three_point_peak(np.take_along_axis(profiles, around, axis=0), best, positions)
-    way = np.sign(positions[-1] - positions[0])
-    biases = [
-        shape_error(way * peaks, way * centers, way * positions)
-        for centers in peak_centers(profiles, positions)
-    ]
+    biases = [shape_error(peaks, centers) for centers in peak_centers(profiles, positions)]
     return float(np.linalg.norm(biases))
 
 

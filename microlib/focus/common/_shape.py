@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from microlib._common import Array
 from microlib.focus.common._filters import TINY
 
-#: Heights of which the midpoints are taken, as shares of the peak above the minimum, and number of
-#: bins into which the distance between two frames is divided.
-_LEVELS, _PHASES = (0.5, 0.2), 5
+#: Heights of which the midpoints are taken, as shares of the peak above the minimum.
+_LEVELS = (0.5, 0.2)
 
 
 def peak_centers(profiles: NDArray, positions: Array) -> tuple[Array, Array]:
@@ -58,37 +57,15 @@ def peak_centers(profiles: NDArray, positions: Array) -> tuple[Array, Array]:
     return middle[0], np.asarray(middle[0] - slope * square[0])
 
 
-def shape_error(depth: NDArray, centers: NDArray, frames: Array) -> tuple[float, float]:
-    """Return the bias of depths by the shape of the peaks: the same everywhere, and periodic.
-
-    Asymmetry and the bias towards the frame positions (peak locking) move the peak of a curve
-    against its center. The medians over pixels at equal distances from a frame contain both, and
-    little noise.
+def shape_error(depth: NDArray, centers: NDArray) -> float:
+    """Return the size of the median bias of depths by the shape of the peaks.
 
     Parameters
     ----------
     depth, centers : ndarray, shape (rows, cols)
-        Depths by a fit to the peak, and those of `peak_centers`; NaN where unknown.
-    frames : ndarray, shape (n,)
-        Positions of the frames to which the peaks were fitted, rising, in the same unit.
-
-    Returns
-    -------
-    constant, periodic : float
-        Size of the median bias, and the median size of what changes between two frames; 0, 0 if
-        fewer than 30 pixels are known.
+        Depths by a fit to the peak, and those of `peak_centers` in the same unit; NaN where
+        unknown. The bias is 0 if fewer than 30 pixels are known.
     """
-    known = np.isfinite(depth + centers)
-    difference = (depth - centers)[known]
-    if len(difference) < 30:
-        return 0.0, 0.0
-    phase = (_PHASES * np.interp(centers[known], frames, np.arange(len(frames)))).astype(int)
-    constant, size = np.median(difference), np.zeros(len(difference))
-    for k in range(_PHASES):
-        here = phase % _PHASES == k
-        if here.any():
-            part = difference[here]
-            median = np.median(part)
-            noise = 2.6 * np.median(np.abs(part - median)) / np.sqrt(len(part))
-            size[here] = np.sqrt(max((median - constant) ** 2 - noise**2, 0))
-    return float(np.abs(constant)), float(np.median(size))
+    difference = depth - centers
+    known = np.isfinite(difference)
+    return float(np.abs(np.median(difference[known]))) if known.sum() >= 30 else 0.0

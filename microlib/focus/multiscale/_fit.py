@@ -47,9 +47,7 @@ class Neighborhood(NamedTuple):
         return Neighborhood(*(np.take(field, best, axis=-1, mode="clip") for field in self))
 
 
-def neighborhoods(
-    coordinates: Array, reach: int, beyond: float = 0.0, narrowing: float = 1.0
-) -> Neighborhood:
+def neighborhoods(coordinates: Array, reach: int, beyond: float = 0.0) -> Neighborhood:
     """Return the neighborhood of every frame; arguments as `fit_peaks` has them."""
     last, number = len(coordinates) - 1, np.arange(len(coordinates))
     around = np.clip(number + np.arange(-reach, reach + 1)[:, None], 0, last)
@@ -67,7 +65,7 @@ def neighborhoods(
     # The window moves to the vertex, which is half a frame away at most, or a whole one at an end
     # of the stack: no frame of three may lose its weight by that.
     width = np.maximum(-before, after) + np.where(half > 1, 0.5, 1.0) * gap
-    fields = (coordinates, lowest, highest, narrowing / width, offset)
+    fields = (coordinates, lowest, highest, 1 / width, offset)
     return Neighborhood(*(field.astype(np.float32) for field in fields))
 
 
@@ -79,7 +77,6 @@ def fit_peaks(
     near: NDArray[np.float32] | None = None,
     within: float = 0.0,
     beyond: float = 0.0,
-    narrowing: float = 1.0,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Fit a Gaussian to the window of each pixel; return its position and its strength.
 
@@ -97,8 +94,6 @@ def fit_peaks(
         Largest distance of the peak from `near`.
     beyond : float
         Distance by which the stack extends before the first position and behind the last.
-    narrowing : float
-        Factor by which the weights fall off sooner.
 
     Returns
     -------
@@ -119,7 +114,7 @@ def fit_peaks(
     peak is only known after a first fit, so there are two. Near the ends of the stack the window
     is narrower for the same reason, to no less than three frames.
     """
-    frames = neighborhoods(coordinates, len(window) // 2, beyond, narrowing)
+    frames = neighborhoods(coordinates, len(window) // 2, beyond)
     rows, cols = best.shape
     depth, strength = np.empty((2, rows, cols), np.float32)
     band = max(1, _BAND // cols)

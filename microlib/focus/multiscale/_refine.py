@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib.focus.common import Spread, run_jobs, smooth_planes
-from microlib.focus.multiscale._axis import Axis
+from microlib.focus.multiscale._axis import Axis, peak_locking_bias
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, relative
 from microlib.focus.multiscale._peaks import Peaks
@@ -18,7 +18,6 @@ from microlib.focus.multiscale._relief import (
     error_variance,
     find_relief,
     locking_attenuation,
-    peak_locking_bias,
 )
 from microlib.focus.multiscale._settings import FocusSettings
 
@@ -57,8 +56,8 @@ def refine(
     )
     along, down, weight = direction_offsets(smooth, fits, axis, settings, spread)
     relief, half_difference = find_relief(along, down, weight, settings, spread)
-    attenuation = locking_attenuation(smooth)
-    locking = peak_locking_bias(smooth, axis) * attenuation
+    locking = peak_locking_bias(smooth, axis.coordinates, axis.locking)
+    locking *= locking_attenuation(smooth)
     depth = smooth - locking
     variance, thin = run_jobs(
         spread,
@@ -66,11 +65,9 @@ def refine(
         lambda: thin_object_error(depth, fits, settings, typical_strength),
     )
     drift = np.interp(np.nan_to_num(depth), axis.coordinates, axis.drift_bias).astype(np.float32)
-    # Peak locking depends on texture: up to half of it remains.
-    variance += drift**2 + (locking / 2) ** 2 + peaks.random_error**2
-    constant, periodic = axis.shape_error
-    variance += np.float32(constant**2) + np.float32(periodic**2) * attenuation**2
-    variance += thin**2
+    # Peak locking depends on texture: as much as was subtracted may remain.
+    variance += drift**2 + locking**2 + peaks.random_error**2 + thin**2
+    variance += np.float32(axis.shape_error**2)
     return Refined(depth=depth, relief=relief, error=np.sqrt(variance))
 
 

@@ -126,24 +126,6 @@ def _mtf_gain(relief: NDArray, settings: FocusSettings) -> NDArray[np.float32]:
     return np.exp(np.clip(exponent, 0, np.log(3)), dtype=np.float32)
 
 
-def peak_locking_bias(depth: NDArray, axis: Axis) -> NDArray[np.float32]:
-    """Return the bias of a depth towards the nearest averaged frame, averaged frames.
-
-    A real profile is more pointed than a Gaussian, so that its fit is biased towards the nearest
-    frame, and the more so the narrower the peaks.
-
-    Parameters
-    ----------
-    depth : ndarray, shape (rows, cols)
-        Frame coordinates; NaN where unknown.
-    axis : Axis
-        The averaged frames.
-    """
-    number = np.interp(np.nan_to_num(depth), axis.coordinates, np.arange(len(axis.coordinates)))
-    number = number.astype(np.float32)
-    return np.float32(-axis.locking) * np.sin(np.float32(2 * np.pi) * number)
-
-
 def locking_attenuation(depth: NDArray) -> NDArray[np.float32]:
     """Return the factor by which averaging on a slope attenuates peak locking, 0 to 1.
 
