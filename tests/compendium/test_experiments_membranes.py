@@ -7,6 +7,7 @@ from scipy.integrate import solve_bvp
 
 from compendium import thesis
 from compendium.experiments import membranes, section_5_6
+from compendium.experiments.chapter_4 import probe_sines
 from compendium.experiments.membranes import PRIORS
 from microlib.membrane import capsule_modulus, dimple_profile, disc_modulus, indentation_force
 
@@ -137,3 +138,12 @@ def test_modulus_ratios_agree_with_inverse_solver():
     # Straight lines between 12 points miss a curve that bends this little by less than 1 %.
     found = np.interp(depth, curve.index, curve)
     assert found == pytest.approx(whole / thesis.modulus(*sizes), rel=0.01)
+
+
+def test_no_reading_of_the_outline_has_a_slope_that_carries_the_force():
+    """The row of the sine at the probe names these; the sine is proportional to w_d/a."""
+    found, inputs = membranes.readings(), membranes.INPUTS
+    every_width = np.linspace(0.01, 0.99, 981) * inputs["rim_radius"]
+    least = probe_sines(every_width).min() * inputs["rim_radius"] / inputs["dimple_depth"]
+    sines = least * found["w_d"] / found["a"]
+    assert sines.min() == sines["edge-depth"] == pytest.approx(1.51, abs=0.005)
