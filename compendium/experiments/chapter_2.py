@@ -102,6 +102,23 @@ def calibration_steps(scope: Microscope, noise: float, rng: np.random.Generator)
     return table
 
 
+def slowest_decay(seed: int) -> float:
+    """Return the largest real part of the poles of (2.4) for λ = 1 and random JĴ⁺ > 0.
+
+    A matrix is positive if its symmetric part has positive eigenvalues.
+    """
+    products = np.random.default_rng(seed).normal(size=(1000, 2, 2))
+    symmetric = products + products.transpose(0, 2, 1)
+    positive = products[np.linalg.eigvalsh(symmetric).min(axis=1) > 0]
+    return float(np.linalg.eigvals(-positive).real.max())
+
+
+def largest_tilt() -> float:
+    """Return the largest angle between a pattern of Table 5.1 and the image plane, degrees."""
+    angles = [[thesis.table_5_1(c, name) for name in ("beta", "gamma")] for c in thesis.COLUMNS]
+    return float(np.degrees(np.arccos(np.abs(np.cos(np.radians(angles))).prod(axis=1))).max())
+
+
 def jacobian_comparison(scope: Microscope, point: ArrayLike) -> pd.DataFrame:
     """Compare (2.25) with small motions of a point (objective frame, µm) under the full model.
 

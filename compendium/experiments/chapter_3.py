@@ -90,6 +90,24 @@ def window_divisors() -> dict[str, float]:
     }
 
 
+def change_with_viewpoint() -> float:
+    """Return the largest change, with the viewpoint, of H of a cylinder and of K of a sphere.
+
+    Both have the radius 1, so that H = −1/2 and K = 1 by (3.22) and (3.23) at every viewpoint. The
+    cylinder is seen at a tilt φ of its axis, with the height z = (x sin φ + √(1 − y²))/cos φ. A
+    point of the sphere is seen at another pixel, with z = √(1 − x² − y²).
+    """
+    tilt, y = np.meshgrid(np.radians([0.0, 20, 40, 60]), [0.0, 0.3, 0.6])
+    side = np.sqrt(1 - y**2)
+    z_x, z_y, z_yy = np.tan(tilt), -y / (side * np.cos(tilt)), -1 / (side**3 * np.cos(tilt))
+    mean = (1 + z_x**2) * z_yy / (2 * (1 + z_x**2 + z_y**2) ** 1.5)  # z_xx = z_xy = 0
+    x, y = np.meshgrid(y[:, 0], y[:, 0])
+    z = np.sqrt(1 - x**2 - y**2)
+    bends = (1 - y**2) * (1 - x**2) - (x * y) ** 2  # (z_xx z_yy − z_xy²) z⁶
+    gaussian = bends / z**6 / (1 + (x**2 + y**2) / z**2) ** 2
+    return float(max(np.ptp(mean), np.ptp(gaussian)))
+
+
 def noisy_labels(noise: float, rng: np.random.Generator) -> tuple[dict[str, NDArray], pd.Series]:
     """Label a ball, a saddle and a plane with noise (µm) at 3.5 standard errors.
 
