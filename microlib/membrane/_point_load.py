@@ -36,7 +36,8 @@ class SmallSlopeWarning(UserWarning):
     At w_d/a = 0.1 the small-slope approximations in the force balance (4.1) and in the strain
     (4.4) make the modulus 5 % too low for c/a = 0.1, 4 % for 0.2 and 11 % for 0.04. At w_d/a = 0.2
     and c/a = 0.1 the modulus is 20 % too low. `finite_slope_modulus` removes both approximations
-    and keeps the uniform stress. `disc_modulus` does not assume a uniform stress.
+    and keeps the uniform stress, which causes a larger error at any depth: the modulus of a clamped
+    disc is 0.4 to 1.0 of that of (5.2). `model_moduli` compares the models.
     """
 
     limit = 0.1  # there finite_slope_modulus is 1.05 times elastic_modulus at c/a = 0.1 (tests)
@@ -101,8 +102,10 @@ def elastic_modulus(
     -----
     By linear elasticity (4.6), the modulus is the stress (4.3) times 1 − ν, divided by the
     strain (4.5). Equation (4.7) is the same relation, solved for the force. The model assumes a
-    uniform stress and small slopes. Table 5.6 of the thesis prints c/a = 44.78, which no probe can
-    have. The printed modulus follows from c = 25 µm, for which c/a = 0.1012.
+    uniform stress and small slopes. A clamped membrane does not have a uniform stress: in the limit
+    of small slopes the modulus of a disc with pressure is 0.40 of this modulus, for c/a = 0.1 and
+    ν = 0.5. `model_moduli` compares the models. Table 5.6 of the thesis prints c/a = 44.78, which
+    no probe can have. The printed modulus follows from c = 25 µm, for which c/a = 0.1012.
 
     References
     ----------
@@ -496,8 +499,8 @@ def _warn_if_steep(rim_radius: Array, depth: Array) -> None:
         warnings.warn(
             f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
             "makes the modulus 4 % to 11 % too low at w_d/a = 0.1, and the error grows with w_d/a "
-            "(see finite_slope_modulus); a stress that is not uniform gives another modulus at any "
-            "depth (see disc_modulus)",
+            "(see finite_slope_modulus); the uniform stress makes it up to 2.5 times too high at "
+            "any depth (see model_moduli)",
             SmallSlopeWarning,
             stacklevel=3,
         )

@@ -176,7 +176,7 @@ def indent_disc(
     See Also
     --------
     disc_modulus : The inverse.
-    elastic_modulus : The small-slope model of the thesis for the same membrane.
+    model_moduli : The same dimple by several models.
 
     Notes
     -----
