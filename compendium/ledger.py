@@ -238,7 +238,7 @@ class Contradicts(Compared):
         return _moved(value, self.recomputed, self.within)
 
     def explanations(self) -> dict[str, str]:
-        right = f"{self.corrected} {self.unit}" if self.corrected else ""
+        right = f"{self.corrected} {self.unit}".rstrip() if self.corrected else ""
         return {"Proof": self.proof, "Right": right, "Tried in": self.readings}
 
 
