@@ -72,10 +72,10 @@ def _sensor_points(points: ArrayLike) -> Array:
     return array
 
 
-def pitch_pair(pixel_pitch: ArrayLike) -> Array:
-    """Pixel pitch along x and y, shape (2,), checked."""
-    pitch = as_positive("pixel_pitch", pixel_pitch)
-    return as_array("pixel_pitch", np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
+def pitch_pair(name: str, value: ArrayLike) -> Array:
+    """A pitch along x and y, shape (2,), checked."""
+    pitch = as_positive(name, value)
+    return as_array(name, np.full(2, pitch) if pitch.ndim == 0 else pitch, shape=(2,))
 
 
 def whole_size(image_size: Any) -> tuple[int, int]:
@@ -352,7 +352,9 @@ class Microscope(FlatResult):
             object.__setattr__(self, name, as_scalar(name, getattr(self, name), above=0))
         for name in ("distortion", "distortion_k2", "alpha", "beta", "gamma", "tx", "ty"):
             object.__setattr__(self, name, as_scalar(name, getattr(self, name)))
-        object.__setattr__(self, "pixel_pitch", tuple(pitch_pair(self.pixel_pitch).tolist()))
+        object.__setattr__(
+            self, "pixel_pitch", tuple(pitch_pair("pixel_pitch", self.pixel_pitch).tolist())
+        )
         object.__setattr__(self, "image_size", whole_size(self.image_size))
         offset = as_array("principal_offset", self.principal_offset, shape=(2,))
         object.__setattr__(self, "principal_offset", tuple(offset.tolist()))

@@ -27,7 +27,7 @@ Views = dict[Path, tuple[NDArray, Any]]
 def add_options(parser: argparse.ArgumentParser) -> None:
     photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
-    add_scales(parser, "pitch", "pixel_pitch", "focal_length", "division")
+    add_scales(parser, "pitch", "pitch_y", "pixel_pitch", "focal_length", "division")
     marks = ["auto", "chessboard", "charuco", "squares", "circles", "micrometer"]
     about = "kind of marks; micrometer: lines of a scale, a photograph for each objective"
     parser.add_argument("--marks", choices=marks, default=marks[0], help=about)
@@ -48,23 +48,33 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     given = [name for name in ("pixel_pitch", "focal_length") if getattr(a, name) is not None]
     # A focal length in µm needs the pixel pitch.
-    resolve_scales(a, session, "pitch", *(sorted({"pixel_pitch", *given}) if given else []))
+    pitches = ("pitch",) if a.pitch_y is None else ("pitch", "pitch_y")
+    resolve_scales(a, session, *pitches, *(sorted({"pixel_pitch", *given}) if given else []))
     if not given:
         session.note(
             "without --pixel-pitch neither the magnification nor the focal length in µm is known; "
             "the result contains the principal distance in px and the scale in px/µm"
         )
-    scales = {"pitch": a.pitch, "pixel_pitch": a.pixel_pitch, "focal_length": a.focal_length}
+    pitch = (a.pitch, a.pitch_y or a.pitch)
+    scales = {"pitch": pitch, "pixel_pitch": a.pixel_pitch, "focal_length": a.focal_length}
     views = _detect(session, a.source, a.marks)
-    result = calibrate([found for _, found in views.values()], **scales)
-    if _leave_out_inconsistent(session, views, result.held_out):
-        result = calibrate([found for _, found in views.values()], **scales)
-    images, detections = zip(*views.values(), strict=True)
+    while True:
+        detections = [found for _, found in views.values()]
+        try:
+            result = calibrate(detections, **scales)
+            inconsistent = result.inconsistent
+        except ValueError as error:
+            if not (inconsistent := getattr(error, "views", ())) or len(inconsistent) == len(views):
+                raise
+        if not inconsistent:
+            break
+        for photo in [list(views)[view] for view in inconsistent]:
+            views.pop(photo)
+            session.note(f"left out {photo}: it shows another pattern or lens than the others")
+    images = [image for image, _ in views.values()]
     _advise(session, result, views, a.focal_length is not None)
     camera = result.to_json()
-    difference = _opencv_difference(
-        camera, result.views, [a.pitch * d.positions for d in detections]
-    )
+    difference = _opencv_difference(camera, result.views, [d.positions * pitch for d in detections])
     if difference > result.reprojection.rms:
         session.note(
             f"OpenCV's camera in camera.json projects the marks up to {difference:.2g} px from the "
@@ -111,18 +121,6 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
     return views
 
 
-def _leave_out_inconsistent(session: Session, views: Views, held_out: NDArray) -> bool:
-    """Remove photographs that the camera of the others does not fit, and return whether any is."""
-    usual = np.nanmedian(held_out) if np.isfinite(held_out).any() else np.inf
-    inconsistent = held_out > 10 * usual
-    for photo, error, is_off in zip(list(views), held_out, inconsistent, strict=True):
-        if is_off:
-            views.pop(photo)
-            reason = f"it disagrees with the others by {error:.2g} px, they by {usual:.2g}"
-            session.note(f"left out {photo}: {reason}")
-    return bool(inconsistent.any())
-
-
 def _opencv_difference(text: str, scopes: Sequence[Any], worlds: Sequence[NDArray]) -> float:
     """Largest difference, px, between marks as OpenCV's camera and the microscopes project them."""
     import cv2
@@ -148,6 +146,9 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
     ]
     if max(shares) < 0.05:
         session.note("the grid covers less than 5 % of the image: let it fill the image")
+    if result.aspect_note:
+        advice = "; measure it, and give --pitch and --pitch-y" * (result.print_aspect != 1)
+        session.note(result.aspect_note.partition("; pitch must")[0] + advice)
     if not result.adequate:
         more = " Several photographs show more of the lens" * (len(views) == 1)
         focal = "--focal-length that of the objective, " * focal_given

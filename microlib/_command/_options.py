@@ -21,6 +21,7 @@ _SCALES = {
     "spacing": ("µm", "distance between frames; by default from the file"),
     "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
     "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
+    "pitch_y": ("µm", "the same along the other direction, downwards, if the print is not square"),
     "division": ("µm", "distance of the closest lines of a stage micrometer"),
     "pixel_pitch": ("µm", "pixel pitch: distance of neighboring pixels on the sensor"),
     "focal_length": (

@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from microlib._common import Array, as_scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
-from microlib.calibration._fit import LENS, POSE, Fit, Photographs, fit_views
+from microlib.calibration._fit import (
+    LENS,
+    POSE,
+    Fit,
+    InconsistentViews,
+    Photographs,
+    fit_each_view,
+    fit_together,
+)
 from microlib.calibration._points import photographs_of
 from microlib.calibration._uncertainty import (
     KILOMETER,
@@ -25,9 +33,9 @@ from microlib.calibration._uncertainty import (
     reciprocal_estimate,
     student_quantile,
 )
-from microlib.calibration.adequacy._held_out import held_out_errors
+from microlib.calibration.adequacy._held_out import agreeing_views, held_out_errors
 from microlib.calibration.adequacy._lack_of_fit import check_fit
-from microlib.calibration.adequacy._lens_terms import add_lens_terms
+from microlib.calibration.adequacy._lens_terms import add_lens_terms, print_aspect
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope, pitch_pair
 
@@ -43,6 +51,7 @@ _UNITS = {
     "distortion": "1/sensor²",
     "distortion_k2": "1/sensor⁴",
     **dict.fromkeys(("principal_x", "principal_y"), "px"),
+    "pixel_aspect": "",
     **dict.fromkeys(("alpha", "beta", "gamma"), "rad"),
     **dict.fromkeys(("tx", "ty"), "µm"),
 }
@@ -53,7 +62,7 @@ def calibrate(
     image: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
     pixel_pitch: float | tuple[float, float] | None = None,
-    pitch: float | None = None,
+    pitch: float | tuple[float, float] | None = None,
     focal_length: float | None = None,
     image_size: tuple[int, int] | None = None,
 ) -> Calibration:
@@ -71,8 +80,9 @@ def calibrate(
         Distance of neighboring pixels on the sensor (pixel pitch), µm, along x and y. Without it,
         the pixels are taken to be square, and the result contains neither a magnification nor
         a focal length in µm (see Notes).
-    pitch : float, optional
-        Distance of neighboring marks of a detected pattern, µm.
+    pitch : float or (float, float), optional
+        Distance of neighboring marks of a detected pattern, µm, along the first and the second
+        coordinate of its grid, which point right and down in the image.
     focal_length : float, optional
         Focal length f of the objective as the manufacturer states it, µm. By default f is
         estimated, which needs a tilted pattern (see Notes). It needs `pixel_pitch`.
@@ -87,7 +97,8 @@ def calibrate(
     ------
     ValueError
         If shapes disagree, if there are fewer than 5 points, if points lie on one line or outside
-        the image, or if no microscope fits the points.
+        the image, or if no microscope fits the points. If views are to be left out, the error has
+        their numbers, from zero, in its attribute `views`.
 
     Notes
     -----
@@ -122,12 +133,21 @@ def calibrate(
     estimated f differs between views of different magnification. The result contains the f of the
     first view.
 
-    With several views, two additions to the model with one distortion coefficient κ are tested: a
-    second coefficient κ₂, see :func:`microlib.microscope.undistort`, and the principal point. An
-    addition is kept if it lowers the Bayesian information criterion. The names of the additional
-    parameters are "distortion_k2" (1/µm⁴), and "principal_x" and "principal_y" (px from the middle
-    of the image). The principal point of a single view is the middle of the image, as in the
-    thesis.
+    With several views, three additions to the model with one distortion coefficient κ are tested: a
+    second coefficient κ₂, see :func:`microlib.microscope.undistort`, the principal point, and the
+    aspect ratio of the pixels. An addition is kept if it lowers the Bayesian information criterion.
+    The names of the additional parameters are "distortion_k2" (1/µm⁴), "principal_x" and
+    "principal_y" (px from the middle of the image), and "pixel_aspect". The latter is the height of
+    a pixel over its width, both relative to `pixel_pitch`, and is kept if it differs from 1 by more
+    than 0.003. The principal point of a single view is the middle of the image, as in the thesis.
+
+    *Prints that are not square*, as many printers make them, are named by `print_aspect` of the
+    result if this explains half of the squares of the residuals of several views that are not
+    adequate. They are then to be measured along both directions, for `pitch`.
+
+    *Inconsistent views*, such as a grating in the background or a mirrored print, are listed by
+    `inconsistent` of the result, or named by the error. They are those that do not have the lens of
+    the largest set of views with a common lens, and they are to be left out.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is
@@ -151,17 +171,23 @@ def calibrate(
         if pixel_pitch is None:
             raise ValueError("pixel_pitch must be given with focal_length, µm, got none")
     camera = {
-        "pixel_pitch": pitch_pair(1.0 if pixel_pitch is None else pixel_pitch),
+        "pixel_pitch": pitch_pair("pixel_pitch", 1.0 if pixel_pitch is None else pixel_pitch),
         "focal_length": focal_length,
     }
     photographs = photographs_of(world, image, pitch, image_size, **camera)
-    fit, alone = fit_views(photographs)
-    fit = add_lens_terms(photographs, fit)
-    # Wrong units lead to a magnification below zero, or to residuals as large as the image.
-    largest = max(photographs.image_size) / 20
-    if not (fit.poses[:, 0] > 0).all() or np.sqrt(photographs.residual_variance(fit)) > largest:
-        raise photographs.refusal
-    return _build_result(photographs, fit, alone, pixel_pitch is not None)
+    alone = fit_each_view(photographs)
+    agree = agreeing_views(photographs, alone)
+    try:
+        fit = add_lens_terms(photographs, fit_together(photographs, alone))
+        # Wrong units lead to a magnification below zero, or to residuals as large as the image.
+        largest = max(photographs.image_size) / 20
+        if not (fit.poses[:, 0] > 0).all() or np.sqrt(photographs.residual_variance(fit)) > largest:
+            raise photographs.refusal
+    except ValueError as fault:
+        if agree.all() or agree.sum() < 2:
+            raise
+        raise InconsistentViews(np.flatnonzero(~agree).tolist()) from fault
+    return _build_result(photographs, fit, alone, agree, pixel_pitch is not None)
 
 
 def _mark_numbers(photographs: Photographs, fit: Fit) -> NDArray[np.intp] | None:
@@ -181,11 +207,16 @@ def _mark_numbers(photographs: Photographs, fit: Fit) -> NDArray[np.intp] | None
 
 
 def _build_result(
-    photographs: Photographs, fit: Fit, alone: list[list[Fit]], in_um: bool
+    photographs: Photographs,
+    fit: Fit,
+    alone: list[list[Fit]],
+    agree: NDArray[np.bool_],
+    in_um: bool,
 ) -> Calibration:
     """Estimates with their covariance, the undetermined ones, and a microscope for each view.
 
-    `in_um` states whether the pixel pitch is known, and with it lengths on the sensor in µm.
+    `agree` states which views have one lens, and `in_um` whether the pixel pitch is known, and with
+    it lengths on the sensor in µm.
     """
     mark_numbers = _mark_numbers(photographs, fit)
     test = check_fit(photographs, fit, mark_numbers)
@@ -221,7 +252,9 @@ def _build_result(
         p_value=test.p_value,
         widening=float(np.sqrt(1 + test.covariance[0, 0] / noise[0, 0])),  # of the magnification
         views=tuple(scopes),
-        held_out=held_out_errors(photographs, fit, alone),
+        held_out=held_out_errors(photographs, fit, alone, agree),
+        inconsistent=tuple(np.flatnonzero(~agree).tolist()) if agree.sum() > 1 else (),
+        print_aspect=1.0 if test.p_value > 0.1 else print_aspect(photographs, fit),
     )
 
 
@@ -258,13 +291,14 @@ def _microscope(photographs: Photographs, lens: Array, pose: Array) -> Microscop
     """The microscope of a view, in focus."""
     view = dict(zip((*LENS, *POSE), (*lens.tolist(), *pose.tolist()), strict=True))
     magnification, inverse_principal = view.pop("magnification"), view.pop("inverse_principal")
+    pitch = photographs.pixel_pitch * [1.0, view.pop("pixel_aspect")]
     f = photographs.focal_length or 1 / (inverse_principal * (1 + magnification))
     return Microscope(
         tube_length=magnification * f,
         focal_length=f,
         distance=f / magnification,
         principal_offset=(view.pop("principal_x"), view.pop("principal_y")),
-        pixel_pitch=tuple(photographs.pixel_pitch.tolist()),
+        pixel_pitch=tuple(pitch.tolist()),
         image_size=photographs.image_size,
         **view,
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from microlib._common import Array, Result
+from microlib._common import ArgumentError, Array, Result
 from microlib.calibration._uncertainty import reciprocal_estimate
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope, undistort
@@ -86,6 +86,13 @@ class Calibration(Result):
         Reprojection error of each view, rms in px, with a lens fitted to other views and a pose
         fitted to this one (cross-validation in five folds). NaN for fewer than three views, or
         where the fit fails.
+    inconsistent : tuple of int
+        Numbers, from zero, of the views that have another lens than the largest set of views with
+        a common lens. They are to be left out.
+    print_aspect : float
+        Distance of neighboring marks along the second coordinate of the pattern over that along the
+        first, both over the stated ones; 1 unless another ratio halves the squares of the residuals
+        of several views.
     """
 
     microscope: Microscope
@@ -100,6 +107,8 @@ class Calibration(Result):
     widening: float
     views: tuple[Microscope, ...]
     held_out: Array
+    inconsistent: tuple[int, ...]
+    print_aspect: float
 
     def __repr__(self) -> str:
         pixel, scope = self.um_per_pixel, self.microscope
@@ -121,6 +130,10 @@ class Calibration(Result):
             lines.append(
                 f"  {median:.3g} px rms in held-out views, at most {np.nanmax(self.held_out):.3g}"
             )
+        if self.inconsistent:
+            numbers = ", ".join(str(view + 1) for view in self.inconsistent)
+            lines.append(f"  inconsistent, to be left out: view {numbers}, counted from 1")
+        lines += [f"  {note}" for note in [self.aspect_note] if note]
         if not self.adequate:
             lines.append(
                 f"  the model is not adequate: residuals of {self.reprojection.rms:.2g} px "
@@ -136,6 +149,17 @@ class Calibration(Result):
         """Whether the points determine both angles of the tilt of a view, with their sign."""
         ending = f"_{view + 1}" if view else ""
         return not {f"beta{ending}", f"gamma{ending}"} & set(self.undetermined)
+
+    @property
+    def aspect_note(self) -> str:
+        """What is not square, with its ratio; empty if nothing is."""
+        if self.print_aspect != 1:
+            return (
+                f"the print is not square: ratio {self.print_aspect:.4f}; pitch must be the "
+                "distances of marks along both directions of the pattern"
+            )
+        pixel = self.parameters.get("pixel_aspect")
+        return f"the pixels or the print are not square: ratio {pixel}" if pixel else ""
 
     @property
     def adequate(self) -> bool:
@@ -158,7 +182,7 @@ class Calibration(Result):
 
     @property
     def pixel_pitch(self) -> float | tuple[float, float] | None:
-        """Pixel pitch of the sensor that was given, µm."""
+        """Pixel pitch of the sensor that was given, µm, along y times "pixel_aspect"."""
         return self.microscope.pixel_pitch if "magnification" in self.parameters else None
 
     @property
@@ -225,12 +249,25 @@ class Calibration(Result):
         Returns
         -------
         matplotlib.figure.Figure
+
+        Raises
+        ------
+        ValueError
+            If `found` does not have the points of the calibration.
         """
         from microlib._plots import marks
 
         several = isinstance(found, (list, tuple))
+        detections = found if several else [found]
+        points = sum(len(each.points) for each in detections)
+        if (len(detections), points) != (len(self.views), len(self.residuals)):
+            raise ArgumentError(
+                "found",
+                f"must hold the detections of the {len(self.views)} calibrated views with "
+                f"{len(self.residuals)} points, got {len(detections)} with {points} points",
+            )
         pictures = images if several or images is None else [images]
-        return marks(found if several else [found], pictures, self.residuals, ax)
+        return marks(detections, pictures, self.residuals, ax)
 
     def to_json(self) -> str:
         """Return the calibration as JSON for `from_json` and for other programs.

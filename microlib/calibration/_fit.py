@@ -20,9 +20,12 @@ from microlib._common import Array
 from microlib.calibration._linear import linear_intrinsics, radial_alignment
 from microlib.microscope import euler_rotation, project_points
 
-#: Parameters of the lens: 1/(T_op + f) in 1/µm, and those of `Microscope` that are the same in all
-#: views.
-LENS = ("inverse_principal", "distortion", "distortion_k2", "principal_x", "principal_y")
+#: Parameters of the lens: 1/(T_op + f) in 1/µm, those of `Microscope` that are the same in all
+#: views, and the height of a pixel over that of a pixel with the given pitch.
+LENS = (
+    *("inverse_principal", "distortion", "distortion_k2", "principal_x", "principal_y"),
+    "pixel_aspect",
+)
 #: Parameters of a view: M, α, β, γ in rad, and T_x, T_y in µm.
 POSE = ("magnification", "alpha", "beta", "gamma", "tx", "ty")
 #: Relative rounding error of an image point: one operation makes 1e-16, another order of the same
@@ -67,10 +70,7 @@ class Photographs:
     def refusal(self) -> ValueError:
         """The error for points that no microscope fits."""
         if self.focal_length is None:
-            return ValueError(
-                "world and image must fit one microscope, none was found: "
-                "leave out the outlying views"
-            )
+            return ValueError("world and image must fit one microscope, none was found")
         return ValueError(
             f"focal_length must fit each view in focus, got {self.focal_length:g} µm: "
             "better leave it out"
@@ -94,9 +94,9 @@ class Photographs:
         return fit.rss / max(fit.dof, 1) + self.rounding_variance(fit.poses)
 
     def predict(self, lens: Array, poses: Array) -> tuple[Array, Array]:
-        """Image points of all views, (N, 2), and their derivatives, (N, 2, 5 + 6 V).
+        """Image points of all views, (N, 2), and their derivatives, (N, 2, 6 + 6 V).
 
-        The first five derivatives are those by `LENS`; then follow six by the pose of each view.
+        The first six derivatives are those by `LENS`; then follow six by the pose of each view.
         """
         points, jacobians = [], []
         for v, (pose, world) in enumerate(zip(poses, self.world, strict=True)):
@@ -110,9 +110,10 @@ class Photographs:
         return np.concatenate(points), np.concatenate(jacobians)
 
     def _project(self, lens: Array, pose: Array, world: Array) -> tuple[Array, Array]:
-        """Image points of one view, and their derivatives by `LENS` and `POSE`, (N, 2, 5 + 6)."""
+        """Image points of one view, and their derivatives by `LENS` and `POSE`, (N, 2, 12)."""
         view = dict(zip((*LENS, *POSE), (*lens, *pose), strict=True))
         inverse_principal, magnification = view.pop("inverse_principal"), view["magnification"]
+        aspect = view.pop("pixel_aspect")
         # The convergence: h = 1/(f + d) = M/(T_op + f), and T_op + f = f (1 + M) in focus.
         h_by_inverse_principal, h_by_magnification = magnification, inverse_principal
         if self.focal_length is not None:
@@ -120,7 +121,9 @@ class Photographs:
             h_by_inverse_principal = 0.0
             h_by_magnification = inverse_principal / (1 + magnification)
         view["convergence"] = magnification * inverse_principal
-        points, by = project_points(world, self.pixel_pitch, view, derivatives=True)
+        pitch = self.pixel_pitch * [1.0, aspect]
+        points, by = project_points(world, pitch, view, derivatives=True)
+        by["pixel_aspect"] = np.stack([0 * points[1], (view["principal_y"] - points[1]) / aspect])
         by["inverse_principal"] = by["convergence"] * h_by_inverse_principal
         by["magnification"] = by["magnification"] + by["convergence"] * h_by_magnification
         jacobian = np.array([by[name] for name in (*LENS, *POSE)]).transpose(2, 1, 0)
@@ -133,7 +136,7 @@ class Fit:
 
     Parameters
     ----------
-    lens : ndarray, shape (5,)
+    lens : ndarray, shape (6,)
         Parameters of the lens as in `LENS`.
     poses : ndarray, shape (V, 6)
         Parameters of the views as in `POSE`.
@@ -179,24 +182,43 @@ class Fit:
         return [[*LENS, *each][k] for k in self.free]
 
 
-def fit_views(photographs: Photographs) -> tuple[Fit, list[list[Fit]]]:
-    """Fit all views together, and each view alone from both signs of its tilt.
+class InconsistentViews(ValueError):
+    """The error for views that do not fit one microscope; `views` are their numbers, from zero."""
 
-    Of the two fits of each view the better one comes first.
-    """
-    base = ["distortion"]
-    if photographs.focal_length is None:
-        base = ["inverse_principal", *base]
-    single = [photographs.subset([v]) for v in range(len(photographs.world))]
-    fits = [[least_squares_fit(each, *start, base) for start in _starts(each)] for each in single]
-    alone = [sorted(pair, key=lambda fit: fit.rss) for pair in fits]
-    if len(single) == 1:
-        return alone[0][0], alone
+    def __init__(self, views: Sequence[int]) -> None:
+        super().__init__(views)
+        self.views = tuple(views)
+
+    def __str__(self) -> str:
+        names = ", ".join(str(view + 1) for view in self.views)
+        return f"world and image must fit one microscope: leave out view {names}, counted from 1"
+
+
+def fit_each_view(photographs: Photographs) -> list[list[Fit]]:
+    """Fit each view alone from both signs of its tilt; the better fit comes first."""
+    base = ["distortion"] if photographs.focal_length else ["inverse_principal", "distortion"]
+    alone, failed = [], []
+    for v in range(len(photographs.world)):
+        view = photographs.subset([v])
+        try:
+            fits = [least_squares_fit(view, *start, base) for start in _starts(view)]
+            alone.append(sorted(fits, key=lambda fit: fit.rss))
+        except ValueError:
+            if len(photographs.world) == 1:
+                raise
+            failed.append(v)
+    if failed:
+        raise InconsistentViews(failed)
+    return alone
+
+
+def fit_together(photographs: Photographs, alone: list[list[Fit]]) -> Fit:
+    """Fit all views together, from the fits of each view alone."""
+    if len(alone) == 1:
+        return alone[0][0]
     lens = np.median([pair[0].lens for pair in alone], axis=0)
-    best = least_squares_fit(
-        photographs, lens, np.concatenate([pair[0].poses for pair in alone]), base
-    )
-    return best, alone
+    poses = np.concatenate([pair[0].poses for pair in alone])
+    return least_squares_fit(photographs, lens, poses, alone[0][0].lens_free)
 
 
 def least_squares_fit(
@@ -272,6 +294,7 @@ def _starts(photograph: Photographs) -> list[tuple[Array, Array]]:
         flat = turned[:, :2] + [tx, ty]
         magnification, distortion, inverse_depth = linear_intrinsics(flat, depth, sensor).tolist()
         known = {"inverse_principal": abs(inverse_depth / magnification), "distortion": distortion}
+        known["pixel_aspect"] = 1.0
         lens = np.array([known.get(name, 0.0) for name in LENS])
         starts.append((lens, np.array([[magnification, alpha, sign * beta, sign * gamma, tx, ty]])))
     return starts

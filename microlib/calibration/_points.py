@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, as_scalar, check_same_length
+from microlib._common import Array, as_array, check_same_length
 from microlib.calibration._detection import Detection
 from microlib.calibration._fit import Photographs
-from microlib.microscope import whole_size
+from microlib.microscope import pitch_pair, whole_size
 
 #: Points whose extent in one direction is below this part of the other lie on one line.
 _ON_ONE_LINE = 1e-6
@@ -33,7 +33,7 @@ def plane_points(least: int, **named: ArrayLike) -> list[Array]:
 
 
 def photographs_of(
-    world: Any, image: Any, pitch: float | None, image_size: Any, **camera: Any
+    world: Any, image: Any, pitch: Any, image_size: Any, **camera: Any
 ) -> Photographs:
     """Points of each view, from the arguments of `calibrate`; `camera` has its other fields."""
     if isinstance(world, (list, tuple)) and not world:
@@ -75,12 +75,10 @@ def _of_points(
     return Photographs([w for w, _ in pairs], [i for _, i in pairs], size, **camera)
 
 
-def _of_detections(
-    detections: list[Detection], pitch: float | None, camera: dict[str, Any]
-) -> Photographs:
+def _of_detections(detections: list[Detection], pitch: Any, camera: dict[str, Any]) -> Photographs:
     if pitch is None:
         raise ValueError("pitch must be given with a detection, µm from mark to mark, got none")
-    pitch = as_scalar("pitch", pitch, above=0)
+    pitch = pitch_pair("pitch", pitch)
     size = detections[0].image_size
     sizes = {f"{width}×{height}" for width, height in (each.image_size for each in detections)}
     if len(sizes) > 1:

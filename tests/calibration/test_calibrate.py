@@ -62,16 +62,17 @@ def noisy(points, seed):
 
 def lens_views(
     count, *, principal=900.0, spacing=46.0, tilt=0.4, aside=(0.0, 0.0), k1=-0.2, k2=0.0,
-    seed=0, shift=0.0, bend=0.0,
+    seed=0, shift=0.0, bend=0.0, pixel=1.0, printed=1.0,
 ):  # fmt: skip
     """Views through one lens, projected by OpenCV. The principal distance and the spacing of marks
-    are in px; `shift`, the rms error of printed marks, and the bend of the pattern are in µm."""
+    are in px; `shift`, the rms error of printed marks, and the bend of the pattern are in µm.
+    `pixel` and `printed` are the heights of a pixel and of the print over their widths."""
     rng = np.random.default_rng(seed)
     world = 280.0 * (np.argwhere(np.ones((11, 8))) - [5, 3.5])
     made = world + rng.normal(0, 1, world.shape) * shift
-    made = np.column_stack([made, bend * (made[:, 0] / 1400) ** 2])
+    made = np.column_stack([made * [1, printed], bend * (made[:, 0] / 1400) ** 2])
     center = np.array([319.5, 239.5]) + aside
-    camera = np.array([[principal, 0, center[0]], [0, principal, center[1]], [0, 0, 1]])
+    camera = np.array([[principal, 0, center[0]], [0, principal / pixel, center[1]], [0, 0, 1]])
     place = np.array([30.0, -20, 280 * principal / spacing])
     worlds, images = [], []
     for _ in range(count):
@@ -580,15 +581,105 @@ def test_held_out_views_do_not_determine_their_lens():
     assert len(some) * np.sum(found.held_out**2) > 1.1 * np.sum(found.residuals**2)
 
 
+@pytest.mark.parametrize("pixel_pitch", [8.0, None, (8.0, 6.5)])
+def test_aspect_ratio_of_pixels_is_fitted_and_named(pixel_pitch):
+    """Without the term, the rms residual is 1.1 px."""
+    ratio = 1.03
+    given = np.ptp(pixel_pitch) / 8.0 if np.ndim(pixel_pitch) else 0.0
+    world, image = lens_views(4, pixel=ratio * (1 - given), aside=(14, -9))
+    found = calibrate(world, image, pixel_pitch=pixel_pitch, image_size=(640, 480))
+    aspect = found.parameters["pixel_aspect"]
+    assert abs(aspect.value - ratio) < 4 * aspect.uncertainty < 4e-4
+    assert found.adequate
+    assert np.median(found.held_out) < 1.2 * NOISE * np.sqrt(2)
+    assert "the pixels or the print are not square: ratio 1.0" in repr(found)
+    hold_residuals(found, world, image)
+    height = json.loads(found.to_json())["imagej"]["pixel_height"]
+    assert height / found.um_per_pixel.value == pytest.approx(ratio * (1 - given), rel=1e-4)
+    assert found.um_per_pixel.value == pytest.approx(280 / 46, rel=0.02)
+
+
+def test_print_that_is_not_square_is_named_with_the_ratio_that_mends_it():
+    world, image = lens_views(4, printed=1.02)
+    found = calibrate(world, image, **CAMERA)
+    assert found.print_aspect == pytest.approx(1.02, abs=5e-4)
+    assert not found.adequate
+    assert "the print is not square: ratio 1.020" in repr(found)
+    assert np.median(found.held_out) > 0.5
+    boards = [
+        Detection(
+            points=points, grid=np.round(w / 280 + [5, 3.5]).astype(int), positions=w / 280,
+            uncertainty=np.ones(len(w)), group=np.arange(len(w)), side=np.nan, normalized_rms=1.0,
+            image_size=(640, 480),
+        )
+        for w, points in zip(world, image, strict=True)
+    ]  # fmt: skip
+    mended = calibrate(boards, pitch=(280, 280 * found.print_aspect), pixel_pitch=8.0)
+    assert mended.adequate
+    assert mended.print_aspect == 1
+    assert np.median(mended.held_out) < 1.2 * NOISE * np.sqrt(2)
+    assert "square" not in repr(mended)
+    assert "square" not in repr(calibrate(*lens_views(4, bend=60.0), **CAMERA))
+
+
 @pytest.mark.parametrize("count", [3, 6])
 def test_inconsistent_view_has_the_largest_held_out_error(count):
-    """As if every second row of a board had been skipped in one photograph."""
     world, image = lens_views(count, aside=(14, -9))
-    world[2] = world[2] * [1, 2]
+    world[2], _ = skipped(world[2], image[2], None)
     found = calibrate(world, image, **CAMERA)
     assert found.held_out[2] > 10
     assert np.delete(found.held_out, 2).max() < 1
     assert not found.adequate
+
+
+def skipped(world, image, rng):
+    """As if every second row of a board had been skipped."""
+    return world * [1, 2], image
+
+
+def sheared(world, image, rng):
+    return world @ np.array([[1.0, 0.0], [1.0, 1.0]]), image
+
+
+def zoomed(world, image, rng):
+    """Through another lens."""
+    middle = np.array([319.5, 239.5])
+    return world, (image - middle) * rng.uniform(0.3, 0.6) + middle + rng.uniform(-60, 60, 2)
+
+
+def exchanged(world, image, rng):
+    """Marks with wrong places: all of them fit no microscope."""
+    return rng.permutation(world), image
+
+
+@pytest.mark.parametrize(
+    ("fault", "count", "wrong"),
+    [
+        *((fault, 3, [2]) for fault in (skipped, sheared, zoomed, exchanged)),
+        *((fault, 4, [0, 1]) for fault in (skipped, sheared, exchanged)),
+        (zoomed, 6, [2]),
+        (sheared, 8, [1, 4, 5, 7]),
+        (exchanged, 8, [1, 4, 5, 7]),
+    ],
+)
+def test_inconsistent_views_are_named_up_to_half_of_them(fault, count, wrong):
+    world, image = lens_views(count, aside=(14, -9))
+    rng = np.random.default_rng(0)
+    for view in wrong:
+        world[view], image[view] = fault(world[view], image[view], rng)
+    if fault is exchanged:
+        numbers = ", ".join(str(view + 1) for view in wrong)
+        with pytest.raises(ValueError, match=f"leave out view {numbers}, counted") as refusal:
+            calibrate(world, image, **CAMERA)
+        assert list(refusal.value.views) == wrong
+        return
+    found = calibrate(world, image, **CAMERA)
+    assert list(found.inconsistent) == wrong
+    assert "inconsistent, to be left out: view" in repr(found)
+    right = np.setdiff1d(range(count), wrong)
+    rest = calibrate([world[v] for v in right], [image[v] for v in right], **CAMERA)
+    assert rest.inconsistent == ()
+    assert rest.reprojection.rms < 1.2 * NOISE * np.sqrt(2)
 
 
 @pytest.mark.parametrize(
@@ -615,6 +706,14 @@ def test_intervals_cover_for_an_imprecise_or_bent_pattern(made, draws, fewest):
 
 
 # The result as one object
+
+
+def test_picture_needs_the_detections_of_the_calibration():
+    one = detection(SCOPE)
+    found = calibrate(one, pitch=280, pixel_pitch=SENSOR["pixel_pitch"], focal_length=F)
+    for other in ([one, one], [detection(tilted(20, 10))], []):
+        with pytest.raises(ValueError, match="found must hold the detections of the 1 calibrated"):
+            found.plot(found=other)
 
 
 @pytest.mark.parametrize("pixel_pitch", [8.0, None])
