@@ -29,7 +29,10 @@ SECTIONS = {
 PROMISES = 9
 STATES = {
     "equation": ("holds", "corrected", "definition"),
-    "figure": ("redrawn", "same drawing, data of this book", "stand-in for a photograph"),
+    "figure": (
+        "from formulas or printed numbers",
+        *("same subject, data of this book", "same subject, another scene"),
+    ),
     "table": ("",),
 }
 
