@@ -6,13 +6,15 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from compendium import thesis
-from compendium.figures.panels import SYMBOL, arrows, boxes, letter, photograph
+from compendium.figures.panels import SYMBOL, arrows, boxes, legend_below, letter, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
@@ -101,3 +103,29 @@ def draw_step_runs(runs: dict[str, Any], band: float) -> Figure:
     grid[0, -1].legend(loc="lower right")
     grid[2, -1].legend(loc="upper right")
     return figure
+
+
+def draw_convergence(counts: pd.DataFrame, trials: int, speed: float) -> None:
+    """Draw the trials in which ESM alone converges, with 95 % intervals, against the motion.
+
+    Parameters
+    ----------
+    counts : pandas.DataFrame
+        From `compendium.experiments.section_5_3.esm_study`.
+    trials : int
+        Of each motion and texture.
+    speed : float
+        Speed that the thesis reports, px/s.
+    """
+    figure, axes = plt.subplots(figsize=(6.4, 3.4))
+    for k, (grain, count) in enumerate(counts.items()):
+        ends = np.array([binomtest(n, trials).proportion_ci() for n in count])
+        shares = 100 * count.to_numpy() / trials
+        bars = np.abs(100 * ends.T - shares)
+        look: dict[str, Any] = {"color": COLORS[("orange", "blue", "green")[k]], "lw": 1.5}
+        look |= {"fmt": "sov"[k] + "-", "capsize": 4, "label": f"grain {grain:g} px"}
+        axes.errorbar(counts.index + 0.12 * (k - 1), shares, bars, **look)
+    label = f"thesis: {speed:g} px/s"
+    axes.axvline(speed * thesis.FRAME_INTERVAL, color=COLORS["ink"], ls=":", label=label)
+    axes.set(xlabel="motion per frame (px)", ylabel="trials converged (%)", ylim=(-5, 105))
+    legend_below(figure, axes.get_legend_handles_labels()[0], ncols=2)
