@@ -284,6 +284,14 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
     }
 
 
+def edge_without_ground() -> float:
+    """Return the share of `ridge_sentences` at the feet of a true ridge that goes on below 0."""
+    column = np.arange(RIDGE_SHAPE[1]) - (RIDGE_SHAPE[1] - 1) / 2
+    profile = thesis.RIDGE_HEIGHT * (1 - (2 * column / LABELED_WIDTH) ** 2)
+    height = np.broadcast_to(profile, RIDGE_SHAPE)
+    return ridge_sentences(height, thesis_labels(height))["edge-concave-cylindric"]
+
+
 def ridge_map(
     seed: int, widths: tuple[float, ...], noises: tuple[float, ...], runs: int
 ) -> pd.DataFrame:

@@ -5,19 +5,16 @@ import pytest
 
 from compendium import ledger
 from compendium.experiments import section_5_5
+from microlib.focus import sum_modified_laplacian
 
 
 @pytest.fixture(scope="module")
 def ridge():
-    return section_5_5.render_ridge(9)
+    return section_5_5.render_ridge(9, section_5_5.LABELED_WIDTH)
 
 
-#: Of the sentences that are open, the condition under which they would hold.
-LIMITS = {
-    "crest-convex-cylindric": "> 0.5",
-    "crest-saddle-and-elliptic": ">= 1",
-    "ball-top-cylindric": "> 0.5",
-}
+#: Of the sentence that is open, the condition under which it would hold.
+LIMITS = {"ball-top-cylindric": "> 0.5"}
 
 
 def fits(name: str, value: float) -> bool:
@@ -30,9 +27,10 @@ def fits(name: str, value: float) -> bool:
 def described_ridge(height: np.ndarray) -> np.ndarray:
     """Return a label map of the ridge as the thesis' sentences have it."""
     labels = np.full(height.shape, 5, np.uint8)
-    labels[height > 487.5] = 2
+    labels[section_5_5.thesis_labels(height) == 2] = 2
     labels[50:53, 96:99], labels[90:93, 100:103] = 3, 1
-    labels[:, 46:49] = labels[:, 151:154] = 8
+    left, right = np.flatnonzero(height[0])[[0, -1]]
+    labels[:, left - 4 : left - 1] = labels[:, right + 2 : right + 5] = 8
     return labels
 
 
@@ -85,3 +83,26 @@ def test_ball_shape_distinguishes_cylinder_and_sphere():
         assert fits("ball-top-spherical", found["ball-top-spherical"]) == top
     # A disc of whole pixels has the area of its circle to 1 %, its radius to half of that.
     assert max(section_5_5.ball_shape(seen).values()) < 0.05
+
+
+def test_best_frame_is_nearest_to_fit(ridge):
+    """The best frame by its own definition; at the ends of the stack there is no fit."""
+    window = section_5_5.SML_WINDOW
+    measures = [sum_modified_laplacian(frame, window=window) for frame in ridge.frames]
+    best = ridge.positions[np.argmax(measures, axis=0)]
+    found = section_5_5.thesis_depth(ridge.frames, ridge.positions)[1]
+    step = np.diff(ridge.positions)[0]
+    assert np.mean(step * np.rint(found / step) == best) > 0.999
+
+
+def test_fit_is_better_and_wide_ridge_has_no_patches():
+    found = section_5_5.ridge_map(9, (40.0, 100.0), (5.0,), runs=2).set_index("width")
+    assert (found["fit"] < found["best frame"]).all()
+    assert found["all"].tolist() == [True, True, False, False]
+    assert (found["spikes"] > found["corrected"]).all()
+
+
+def test_smooth_ball_has_fewer_cylindric_pixels():
+    scenes = section_5_5.describe_scenes(9, 1)
+    smooth, rough = (scenes[name]["ball-top-cylindric"].item() for name in ("smooth", "printed"))
+    assert smooth < 0.5 * rough
