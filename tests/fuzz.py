@@ -101,6 +101,7 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "io.write_ply": lambda: {
         "path": FOLDER / f"{next(_NUMBER)}.ply", "image": np.zeros((6, 8), np.uint8)
     },
+    "io.write_stl": lambda: {"path": FOLDER / f"{next(_NUMBER)}.stl"},
     "servoing.servo": lambda: {"jacobian": np.eye(2) * 0.3, "progress": lambda row: None},
     "servoing.MicroManager": lambda: {"core": Mock()},
     "servoing.SimulatedWorkstation": lambda: {

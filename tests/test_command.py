@@ -27,10 +27,11 @@ from microlib.__main__ import main
 from microlib.embryo import dimple_from_outline
 from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.synthetic import mixed_texture
+from microlib.synthetic import focal_stack, mixed_texture
 from tests.calibration.scenes import ruled
-from tests.io.make import read_ply, varied_times
+from tests.io.make import read_ply, read_stl, varied_times
 from tests.laws import unlike
+from tests.scenes import straight_step
 
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ROOT / "data" / "synthetic"
@@ -105,8 +106,9 @@ def test_mesh_or_picture_that_fails_gives_a_note(tmp_path, capsys, monkeypatch):
     (tmp_path / "surface.ply").write_text("of another run")
     line = f"depth {tmp_path / 'flat.tif'} --spacing 10 --pixel-size 1"
     assert status(line, tmp_path, "--overwrite") == 0
-    mesh, look = capsys.readouterr().err.splitlines()
-    assert mesh.startswith("note: surface.ply is not written: height must have")
+    *meshes, look = capsys.readouterr().err.splitlines()
+    for note, ending in zip(meshes, ("ply", "stl"), strict=True):
+        assert note.startswith(f"note: surface.{ending} is not written: height must have")
     assert look.startswith("note: look.png is not written: RuntimeError: latex could not")
     assert not (tmp_path / "surface.ply").exists()
     assert (tmp_path / "summary.json").exists()
@@ -166,6 +168,39 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
     (bar,) = height.artists
     (length,) = (part.get_width() for part in bar.size_bar.get_children())
     assert bar.txt_label.get_text() == f"{size * length:g} µm"
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_heights_beyond_the_largest_uncertainty_are_left_out(color, tmp_path, capsys):
+    """A step is uncertain; the picture and the mesh have the colors of the frames."""
+    height = straight_step((64, 84), 24.0) + 8
+    stack = focal_stack(mixed_texture(height.shape, 3), height, 4.0 * np.arange(11), blur_rate=0.25)
+    stack = np.rint(stack[..., None] * [1, 0.8, 0.6]).astype(np.uint8) if color else stack
+    kind = "rgb" if color else "minisblack"
+    tifffile.imwrite(tmp_path / "z.tif", stack, photometric=kind)
+    line = f"depth {tmp_path / 'z.tif'} --spacing 4 --pixel-size 1.5 --max-uncertainty 500nm"
+    assert status(line, tmp_path / "out") == 0
+    found = depth_from_focus(stack, spacing=4.0)
+    known = found.uncertainty <= 0.5
+    assert 0.3 < known.mean() < 0.95
+    maps = ("height", "uncertainty", "frame", "all_in_focus")
+    files = [tmp_path / "out" / f"{name}.ome.tif" for name in maps]
+    height, uncertainty, frame, sharp = (tifffile.imread(file) for file in files)
+    hold_alike(height, np.where(known, found.depth, np.nan))
+    hold_alike(uncertainty, np.where(known, found.uncertainty, np.nan))
+    np.testing.assert_array_equal(frame, np.where(known, found.index, -1))
+    np.testing.assert_array_equal(sharp, found.all_in_focus)
+    with Image.open(tmp_path / "out" / "all_in_focus.png") as picture:
+        np.testing.assert_array_equal(np.asarray(picture), sharp)
+    mesh = read_ply(tmp_path / "out" / "surface.ply")
+    assert len(mesh["vertices"]) == known.sum()
+    levels = sharp[known] if color else np.repeat(sharp[known][:, None], 3, axis=1)
+    np.testing.assert_array_equal(mesh["colors"], levels)
+    facets = read_stl(tmp_path / "out" / "surface.stl")
+    np.testing.assert_array_equal(facets["corners"], mesh["vertices"][mesh["faces"]])
+    line = line.replace("500nm", "0")
+    assert status(f"{line} --overwrite", tmp_path / "out") == 2
+    assert "--max-uncertainty must be positive" in capsys.readouterr().err
 
 
 def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
@@ -688,9 +723,9 @@ def test_number_can_have_a_unit(given, number, tmp_path, capsys):
     ("line", "owner", "fails", "kept"),
     [
         (STACK, io, "write_height_tiff", []),
-        (STACK, io, "write_ply", ["all_in_focus", "frame", "height", "uncertainty"]),
-        (STACK, FocusResult, "plot", ["all_in_focus", "frame", "height", "summary", "surface",
-            "uncertainty"]),
+        (STACK, io, "write_ply", [*2 * ["all_in_focus"], "frame", "height", "uncertainty"]),
+        (STACK, FocusResult, "plot", [*2 * ["all_in_focus"], "frame", "height", "summary",
+            *2 * ["surface"], "uncertainty"]),
         (f"track frames.tif {BOX} --video", tracking, "plot_track", ["out"]),
         (f"track frames.tif {BOX} --video", cv2, "polylines", ["out", "out_look"]),
     ],

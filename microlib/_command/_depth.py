@@ -7,21 +7,30 @@ import json
 from dataclasses import replace
 from functools import partial
 from math import ceil, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from microlib._command import _options as options
 from microlib._command._session import End, Session, picture, text
+from microlib._common import SOFTWARE, as_scalar
+
+if TYPE_CHECKING:
+    from microlib.focus import FocusResult
 
 #: The maps, and what they contain.
 _MAPS = {
     "height.ome.tif": "heights in µm",
     "uncertainty.ome.tif": "standard deviation of each height, µm",
     "frame.ome.tif": "number of the frame nearest to focus, from 0; -1 where unknown",
-    "all_in_focus.ome.tif": "every pixel from that frame",
+    "all_in_focus.ome.tif": "every pixel from that frame, blended where the number changes",
 }
 #: Names of the files that it writes.
-FILES = (*_MAPS, "surface.ply", "summary.json", "look.png")
+FILES = (*_MAPS, "all_in_focus.png", "surface.ply", "surface.stl", "summary.json", "look.png")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--region", help="part of the frames to use, px", **options.BOX)
     parser.add_argument("--reduce", type=int, default=1, metavar="N", help="average N×N px")
+    options.add_scales(parser, "max_uncertainty")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="number of threads")
 
 
@@ -69,17 +79,21 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
         result = focus.depth_from_focus(frames, **how, progress=progress)
     size = scales["pixel_size"] * a.reduce
-    result = replace(result, pixel_size=size)
+    result = replace(_within(result, a.max_uncertainty), pixel_size=size)
     maps = (result.depth, result.uncertainty, result.index, result.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
         session.write(
             name, partial(io.write_height_tiff, height=values, pixel_size=size, what=what)
         )
     sharp = result.all_in_focus
-    grey = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
+    if sharp.dtype != np.uint8:
+        sharp = np.interp(sharp, (sharp.min(), sharp.max()), (0, 255)).astype(np.uint8)
+    session.write("all_in_focus.png", partial(_write_png, sharp))
     step = max(1, ceil(sqrt(result.depth.size / 250_000)))  # more vertices are slow to show
-    mesh = {"height": result.depth[::step, ::step], "image": grey[::step, ::step]}
-    session.write("surface.ply", partial(io.write_ply, **mesh, pixel_size=size * step))
+    few = (slice(None, None, step),) * 2
+    mesh = {"height": result.depth[few], "pixel_size": size * step}
+    session.write("surface.ply", partial(io.write_ply, image=sharp[few], **mesh))
+    session.write("surface.stl", partial(io.write_stl, **mesh))
     summary = result.to_dict() | scales | {"pixel_size": size}
     session.write("summary.json", text(json.dumps(summary, indent=2)))
     session.write("look.png", picture(result.plot))
@@ -87,3 +101,22 @@ def run(a: argparse.Namespace, session: Session) -> End:
     if a.register == "auto" and result.warps is None:
         session.say("frames do not change in light, position or scale: not registered")
     return End()
+
+
+def _within(result: FocusResult, limit: float | None) -> FocusResult:
+    """Return a result without the heights whose uncertainty is larger than a limit."""
+    if limit is None:
+        return result
+    as_scalar("max_uncertainty", limit, above=0)
+    out = result.uncertainty > limit
+    fills = {"depth": np.nan, "uncertainty": np.nan, "confidence": 0, "index": -1}
+    maps = {name: getattr(result, name).copy() for name in fills}
+    for name, values in maps.items():
+        values[out] = fills[name]
+    return replace(result, **maps)
+
+
+def _write_png(image: NDArray[np.uint8], file: Path) -> None:
+    about = PngInfo()
+    about.add_text("Software", SOFTWARE)
+    Image.fromarray(image).save(file, pnginfo=about)

@@ -20,6 +20,7 @@ _PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 
 _SCALES = {
     "spacing": ("µm", "distance between frames; by default from the file"),
     "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
+    "max_uncertainty": ("µm", "leave out heights whose stated uncertainty is larger"),
     "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
     "pitch_y": ("µm", "the same along the other direction, downwards, if the print is not square"),
     "division": ("µm", "distance of the closest lines of a stage micrometer"),

@@ -149,16 +149,8 @@ def write_ply(
     ...     print((Path(folder) / "surface.ply").read_bytes()[:3])
     b'ply'
     """
-    heights = as_array("height", height, shape=(None, None), finite=False)
-    size = as_scalar("pixel_size", pixel_size, above=0)
-    known = np.isfinite(heights)
-    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    if not cells.any():
-        raise ValueError(
-            f"height must have at least one cell of four known heights, got {known.sum()} known"
-        )
-    row, column = np.nonzero(known)
-    columns = {"float x": column * size, "float y": -row * size, "float z": heights[known]}
+    known, vertices, triangles = _mesh(height, pixel_size)
+    columns = dict(zip(("float x", "float y", "float z"), vertices.T, strict=True))
     if image is not None:
         reject_masks("image", image)
         colors, shape = np.asarray(image), (*known.shape, 3)
@@ -168,18 +160,76 @@ def write_ply(
         levels = np.broadcast_to(np.atleast_3d(colors), shape)[known].T
         columns |= zip(("uchar red", "uchar green", "uchar blue"), levels, strict=True)
     layout = [(name, "<f4" if name.startswith("float") else "u1") for name in columns]
-    vertices = np.rec.fromarrays([*columns.values()], dtype=layout)
-    number = np.cumsum(known).reshape(known.shape) - 1
-    corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
-    a, b, c, d = (corner[cells] for corner in corners)
-    faces = np.empty(2 * len(a), [("count", "u1"), ("index", "<i4", 3)])
-    faces["count"] = 3
-    faces["index"] = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+    rows = np.rec.fromarrays([*columns.values()], dtype=layout)
+    faces = np.empty(len(triangles), [("count", "u1"), ("index", "<i4", 3)])
+    faces["count"], faces["index"] = 3, triangles
     header = [
         "ply\nformat binary_little_endian 1.0\ncomment lengths in micrometers",
-        f"element vertex {len(vertices)}",
+        f"element vertex {len(rows)}",
         *(f"property {name}" for name in columns),
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n",
     ]
-    content = "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+    content = "\n".join(header).encode("ascii") + rows.tobytes() + faces.tobytes()
     replace_file(path, lambda file: file.write_bytes(content))
+
+
+def write_stl(path: str | PathLike[str], height: ArrayLike, *, pixel_size: float) -> None:
+    """Write a height map as a triangle mesh in the binary STL format, lengths in µm.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write; an existing file is replaced when the new one is complete.
+    height : array_like, shape (rows, cols)
+        Heights, in µm; cells with a NaN at a corner are left out.
+    pixel_size : float
+        Size of a pixel, in µm/px.
+
+    Raises
+    ------
+    ValueError
+        If `height` is not two-dimensional, has no cell of known heights, or `pixel_size` is not
+        positive.
+
+    Notes
+    -----
+    The mesh is that of `write_ply`, without colors. STL has no unit of length: a program that
+    assumes millimeters shows the mesh a thousand times too large.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pathlib import Path
+    >>> from microlib.io import write_stl
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_stl(Path(folder) / "surface.stl", np.ones((2, 2)), pixel_size=2.0)
+    ...     print((Path(folder) / "surface.stl").stat().st_size)
+    184
+    """
+    _, vertices, triangles = _mesh(height, pixel_size)
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    facets = np.zeros(len(corners), [("vectors", "<f4", (4, 3)), ("attribute", "<u2")])
+    facets["vectors"] = np.concatenate([normals[:, None], corners], axis=1)
+    content = SOFTWARE.encode().ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes()
+    replace_file(path, lambda file: file.write_bytes(content))
+
+
+def _mesh(height: ArrayLike, pixel_size: float) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
+    """Return which heights are known, their places (n, 3) in µm, and triangles (m, 3) of these."""
+    heights = as_array("height", height, shape=(None, None), finite=False)
+    size = as_scalar("pixel_size", pixel_size, above=0)
+    known = np.isfinite(heights)
+    cells = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    if not cells.any():
+        raise ValueError(
+            f"height must have at least one cell of four known heights, got {known.sum()} known"
+        )
+    row, column = np.nonzero(known)
+    number = np.cumsum(known).reshape(known.shape) - 1
+    corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    a, b, c, d = (corner[cells] for corner in corners)
+    vertices = np.stack([column * size, -row * size, heights[known]], axis=1)
+    return known, vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter
 
+from microlib import synthetic
 from microlib.focus import depth_from_focus
 from tests.focus.scenes import inner, rms, stack_of
 from tests.scenes import tilted_plane
@@ -33,6 +35,25 @@ def test_surface_in_focus_in_the_first_or_last_frame_has_depth(end, count):
     assert found.at_end.mean() > 0.9
 
 
+def test_all_in_focus_image_has_no_seams_where_light_changes():
+    """Where the frame changes, neighbors are half as wrong as in pasted frames."""
+    positions = np.arange(15.0)
+    texture = synthetic.mixed_texture(SHAPE, 4, scales=(4.8, 9.6))
+    stack = stack_of(HEIGHT, positions, texture=texture, noise=1.0)
+    gains = 0.9 + np.random.default_rng(1).uniform(-0.05, 0.05, 15)
+    stack = np.rint(gains[:, None, None] * stack).astype(np.uint8)
+    with pytest.warns(UserWarning, match="change in light"):
+        found = depth_from_focus(stack, positions)
+    seam = np.diff(found.index, axis=1) != 0
+    pasted = stack[(found.index, *np.indices(SHAPE))]
+    off, before = (
+        np.abs(np.diff(image - 0.9 * texture, axis=1))[seam].mean()
+        for image in (found.all_in_focus, pasted)
+    )
+    assert seam.mean() > 0.02
+    assert off < 0.5 * before
+
+
 @pytest.mark.parametrize("kind", ["grey", "in color"])
 def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth(kind):
     """A black frame is left out, and counted."""
@@ -48,6 +69,9 @@ def test_all_in_focus_and_index_are_of_the_frame_nearest_to_the_depth(kind):
         depth, index = found.depth, found.index
         least = np.abs(np.delete(positions, 25)[:, None, None] - depth).min(axis=0)
         np.testing.assert_allclose(np.abs(z[index] - depth), least, atol=1e-5)  # of float32
-        chosen = frames[(index, *np.indices(SHAPE))]
-        np.testing.assert_array_equal(found.all_in_focus, chosen)
+        shares = [(index == k).astype(float) for k in range(57)]
+        for _ in range(2):
+            shares = [uniform_filter(share, 5, mode="mirror") for share in shares]
+        blended = np.einsum("kyx,kyx...->yx...", shares, frames)
+        np.testing.assert_allclose(found.all_in_focus, blended, atol=0.51)  # rounded
         assert found.all_in_focus.dtype == frames.dtype

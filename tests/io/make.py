@@ -153,3 +153,14 @@ def read_ply(path: Path) -> dict[str, np.ndarray]:
     assert len(triangles) == counts[1]
     assert (triangles["n"] == 3).all()
     return {name: table[name] for name in table.dtype.names} | {"faces": triangles["i"]}
+
+
+def read_stl(path: Path) -> dict[str, np.ndarray]:
+    """Return the normals and the corners of the triangles of a binary STL file."""
+    content = path.read_bytes()
+    assert not content.startswith(b"solid")  # which would be text
+    facets = np.frombuffer(
+        content[84:], [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("n", "<u2")]
+    )
+    assert len(facets) == int.from_bytes(content[80:84], "little")
+    return {"normals": facets["normal"], "corners": facets["corner"]}

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from microlib import io
-from tests.io.make import read_ply
+from tests.io.make import read_ply, read_stl
 
 
 @pytest.fixture
@@ -40,6 +40,16 @@ def test_ply_faces_point_to_the_viewer_and_vertices_have_colors(tmp_path, plane,
         np.testing.assert_array_equal(mesh["colors"], expected)
         with pytest.raises(ValueError, match="image must be uint8 of shape"):
             io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0, image=image[:2])
+
+
+def test_stl_has_the_triangles_of_the_ply_and_their_normals(tmp_path, plane):
+    io.write_ply(tmp_path / "s.ply", plane, pixel_size=2.0)
+    io.write_stl(tmp_path / "s.stl", plane, pixel_size=2.0)
+    mesh, facets = read_ply(tmp_path / "s.ply"), read_stl(tmp_path / "s.stl")
+    np.testing.assert_array_equal(facets["corners"], mesh["vertices"][mesh["faces"]])
+    # z = 1.5 x + y.
+    normal = np.array([-1.5, -1.0, 1.0]) / np.sqrt(1.5**2 + 2)
+    np.testing.assert_allclose(facets["normals"], np.tile(normal, (46, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (2, 5, 3)], ids=["grey", "color"])

@@ -10,9 +10,9 @@ import pytest
 import tifffile
 
 from microlib.focus import depth_from_focus
-from microlib.io import Stack, read_frames, read_grey, write_height_tiff, write_ply
+from microlib.io import Stack, read_frames, read_grey, write_height_tiff, write_ply, write_stl
 from microlib.synthetic import focal_stack, mixed_texture
-from tests.io.make import read_ply
+from tests.io.make import read_ply, read_stl
 from tests.laws import SAME, Row, grey, laws_of, um
 
 SHAPE = (29, 41)
@@ -51,13 +51,15 @@ def written(height: np.ndarray, pixel_size: float) -> dict:
         grey = np.asarray(read_grey(file))
         write_ply(Path(folder) / "m.ply", height, pixel_size=pixel_size)
         mesh = read_ply(Path(folder) / "m.ply")
+        write_stl(Path(folder) / "m.stl", height, pixel_size=pixel_size)
+        mesh["corners"] = read_stl(Path(folder) / "m.stl")["corners"]
     return {"size": size, "values": values, "grey": grey, **mesh}
 
 
 HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
 FILES = Row(
     lambda u: {"height": HEIGHT * u.um, "pixel_size": 2.6 * u.um},
-    {**dict.fromkeys(("size", "values", "grey", "vertices"), um), "faces": SAME},
+    {**dict.fromkeys(("size", "values", "grey", "vertices", "corners"), um), "faces": SAME},
     within=1e-6,  # single precision, and six digits of older versions of tifffile
     call=written,
 )
@@ -74,6 +76,7 @@ LAWS = {
     "io.read_grey": FILES,
     "io.write_height_tiff": FILES,
     "io.write_ply": FILES,
+    "io.write_stl": FILES,
 }  # fmt: skip
 
 
