@@ -56,7 +56,8 @@ def facets(entry: ledger.Entry) -> dict[str, str]:
 def count_class(claim: ledger.Claim) -> str:
     """Return the class in which a claim is counted among those of its verdict."""
     if isinstance(claim, ledger.Possible):
-        return "with an assumption that was chosen for it" if claim.chosen else "without such a one"
+        kind = "an assumption that was" if claim.chosen else "assumptions that were not"
+        return f"with {kind} chosen so that the number comes out"
     if isinstance(claim, ledger.Open):
         return "with a number of ours" if claim.compared else "with nothing to compute"
     return "sentences" if claim.condition else "numbers"
