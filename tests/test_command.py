@@ -662,6 +662,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ("track frames.tif --box 0 0 5 40", "track: --box width must be at least 6, got 5"),
         (f"track frames.tif {BOX} --channel 2", "--channel must be left out for frames without"),
         (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
+        (f"track frames.tif {BOX} --mask no.png", "--mask must name an image, got no.png: no such"),
         # A source that is not there, or shows something else.
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
         ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
@@ -688,6 +689,14 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
     assert message in printed
     assert printed.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_given_uncertainties_are_printed(tmp_path, capsys):
+    for given, printed in (("", False), (" --thickness-uncertainty 0.2um", True)):
+        assert status(f"{OUTLINE}{given} --overwrite", tmp_path / "out.csv") == 0
+        out = capsys.readouterr().out
+        assert "force_uncertainty 3 µN (given)" in out
+        assert ("thickness_uncertainty 0.2 µm (given)" in out) == printed
 
 
 @pytest.mark.parametrize(

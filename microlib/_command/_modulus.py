@@ -49,9 +49,12 @@ def run(a: argparse.Namespace, session: Session) -> End:
     values = resolve_scales(a, session, *scales, pixel_size=table.pixel_size)
     size = values.pop("pixel_size")
     uncertainties = {}
-    for name in ("force", "thickness"):
+    for name, unit in (("force", "µN"), ("thickness", "µm")):
         option = f"{name}_uncertainty"
-        uncertainties[name] = as_scalar(option, getattr(a, option) or 0.0, least=0)
+        given = getattr(a, option)
+        uncertainties[name] = as_scalar(option, given or 0.0, least=0)
+        if given is not None:
+            session.say(f"{option} {given:g} {unit} (given)")
     down = a.y_down or table.y_down
     measured = dimple_from_outline(table.x, -table.y if down else table.y, pixel_size=size)
     if measured.y_down:

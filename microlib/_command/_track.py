@@ -12,6 +12,7 @@ import numpy as np
 
 from microlib._command import _options as options
 from microlib._command._session import End, Session, picture
+from microlib._common import ArgumentError, home_path
 
 #: Names of the files that it writes.
 FILES = ("table", "look.png", "look.mp4")
@@ -47,7 +48,12 @@ def run(a: argparse.Namespace, session: Session) -> End:
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         options.resolve_scales(a, session, "pixel_size", pixel_size=frames.pixel_size)
-    mask = None if a.mask is None else io.read_grey(a.mask)
+    mask = None
+    if a.mask is not None:
+        try:
+            mask = io.read_grey(home_path(a.mask))
+        except ValueError as error:
+            raise ArgumentError("mask", str(error).removeprefix("path ")) from error
     each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size, mask=mask)
     rows, lost = [next(each)], 0
     if a.rate is not None:

@@ -25,8 +25,8 @@ def in_order(files: Sequence[Path]) -> list[Path]:
     Warns
     -----
     UserWarning
-        If the names differ in more than numbers, or the one number in which they differ is not
-        evenly spaced, as where a file is missing.
+        If the names differ in more than numbers, if none of several numbers differs in all names,
+        or if the one number in which they differ is not evenly spaced, as where a file is missing.
     """
     stems = [file.stem for file in files]
     if twice := sorted(file.name for file in files if stems.count(file.stem) > 1):
@@ -52,8 +52,8 @@ def in_order(files: Sequence[Path]) -> list[Path]:
 
 def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> None:
     """Reject files of several axes; warn of files that may be missing or of another series."""
+    first, *_, last = (file.name for file in (*files, files[-1]))
     if len({tuple(each[::2]) for each in parts}) > 1:
-        first, *_, last = (file.name for file in files)
         warnings.warn(
             f"names differ in more than numbers, frames are read from {first} to {last}",
             stacklevel=3,
@@ -66,8 +66,14 @@ def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> Non
     ]
     if len(columns) > 1 and prod(len(set(column)) for column in columns) == len(files):
         raise ValueError(
-            f"frames must lie along one axis, the names from {files[0].name} to {files[-1].name} "
-            f"have {len(columns)}: give a pattern of some, or pass a list of files"
+            f"frames must lie along one axis, the names from {first} to {last} have "
+            f"{len(columns)}: give a pattern of some, or pass a list of files"
+        )
+    if len(columns) > 1 and all(len(set(column)) < len(files) for column in columns):
+        warnings.warn(
+            f"names count by {len(columns)} numbers, as along several axes of which files are "
+            f"missing, frames are read from {first} to {last}",
+            stacklevel=3,
         )
     if len(columns) == 1:
         gaps = [after - before for before, after in pairwise(columns[0])]

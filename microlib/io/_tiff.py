@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -60,6 +61,13 @@ def open_tiff(path: Path, choice: Choice, *, alone: bool = False) -> Stack:
     ):
         _check_chain(tiff)
         pages, axis = _select_pages(tiff, choice)
+        single = len(pages) == 1 and not alone
+        if single and tiff.is_shaped and tiff.pages[0].aspage().axes == "SYX":
+            warnings.warn(
+                f"{path.name} is read as one color image: tifffile marks three or four images so "
+                'unless they are written with photometric="minisblack"',
+                stacklevel=2,
+            )
         size, positions = tiff_scale(tiff, path.name, len(pages), wanted)
         times = tiff_times(tiff, len(pages), wanted) if axis == "T" else None
 

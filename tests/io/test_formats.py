@@ -110,6 +110,16 @@ def test_color_frames_are_returned_as_given_or_as_luma(stack, tmp_path, compress
         np.testing.assert_allclose(read_grey(image), luma[0], atol=0.6)
 
 
+@pytest.mark.filterwarnings("ignore:.*tifffile.TiffWriter.write")
+def test_three_images_that_tifffile_marks_as_colors_give_a_warning(stack, tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, stack[:3])
+    with pytest.warns(UserWarning, match=r'a\.tif is read as one color image: .*"minisblack"'):
+        assert read_frames(path).count == 1
+    tifffile.imwrite(path, stack[:3], photometric="minisblack")
+    assert_frames(path, stack[:3])
+
+
 def test_other_types_of_numbers_become_float32(stack, tmp_path):
     for dtype in (np.int16, np.float64, np.int64):
         assert_frames(stack.astype(dtype), stack.astype(np.float32))

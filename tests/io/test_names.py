@@ -33,7 +33,7 @@ ORDERS = {
     "decimals of one width": [f"z_{k:.2f}" for k in np.arange(9) * 0.05],
     "decimal commas": [f"z_{k:.1f}".replace(".", ",") for k in np.arange(1, 10) * 0.5],
     "a point before the number": [f"scan.{k}" for k in range(1, 13)],
-    "dates": [f"2024-{m:02}-{d:02}" for m in (1, 2) for d in (5, 9, 27)][:5],
+    "dates of one month": [f"2024-03-{d:02}" for d in range(9, 13)],
     "the time beside the number": [f"f{k}_{12 + 7 * k}" for k in range(12)],
     "upper and lower case": ["IMG8", "img9", "IMG10", "Img11"],
     "copies of Windows": [f"scan ({k})" for k in range(1, 13)],
@@ -96,6 +96,9 @@ def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names
         (["a1", "a2", "a10", "b1", "b2"], r"are read from a1\.png to b2\.png$"),
         (["expected", "pcb_1", "pcb_2", "pcb_3"], r"are read from expected\.png to pcb_3"),
         (["z1mm", "z2mm", "z500um"], r"are read from z1mm\.png to z500um"),
+        # Two numbers that count, of an axis with another one or of a date.
+        (["a1_1", "a1_2", "a2_1"], r"count by 2 numbers, .* are read from a1_1\.png to a2_1\.png$"),
+        (["2024-1-5", "2024-1-27", "2024-2-5"], r"count by 2 numbers, .* from 2024-1-5\.png"),
         # Numbers that are missing.
         (["a1", "a2", "a4"], r"no frame between a2\.png and a4\.png: if one is missing"),
         (["a1", "a3", "a4"], r"no frame between a1\.png and a3"),
