@@ -42,7 +42,7 @@ STEP_RESULTS = ("settling-time", "accuracy", "precision")
 PATH_RESULTS = ("accuracy", "precision")
 #: The seven printed numbers that were used to find the workstation; the other eleven are predicted.
 #: The last one chose between two explanations of the settling times.
-FITTED = (
+USED = (
     "table-5.3/1X/settling-time",
     "table-5.3/4X/settling-time",
     "table-5.4/1X/circle/accuracy",
@@ -391,7 +391,7 @@ def predicted_tables(station: Workstation, draws: int) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row each entry: claim, value (the median), the ends low and high, in s or µm, and whether
-        it is one of `FITTED`.
+        it is one of `USED`.
     """
     rows = []
     for zoom in thesis.ZOOMS:
@@ -403,7 +403,7 @@ def predicted_tables(station: Workstation, draws: int) -> pd.DataFrame:
             for k, what in enumerate(PATH_RESULTS):
                 rows.append((f"table-5.4/{zoom}/{name}/{what}", *median_and_ends(errors[:, k])))
     table = pd.DataFrame(rows, columns=["claim", "value", "low", "high"])
-    return table.assign(fitted=table["claim"].isin(FITTED))
+    return table.assign(used=table["claim"].isin(USED))
 
 
 def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
@@ -438,7 +438,7 @@ def by_reading(station: Workstation, draws: int) -> pd.DataFrame:
 def decided(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row each predicted number: whether the printed one lies inside the interval, and the
     readings that change this."""
-    table = table[~table["fitted"]]
+    table = table[~table["used"]]
     assumed = table[table["reading"] == "as assumed"].set_index("claim")["inside"]
     changed = table[table["inside"] != table["claim"].map(assumed)]
     names = changed.groupby("claim")["reading"].agg("; ".join)

@@ -19,7 +19,7 @@ def station() -> section_5_4.Workstation:
 def test_error_on_circle_is_one_sample_of_motion(station):
     """The controller works on f(k) − f*(k+1), so a perfect one leaves speed times interval."""
     table = section_5_4.predicted_tables(station, draws=6)
-    assert (len(table), table["fitted"].sum()) == (18, 7)
+    assert (len(table), table["used"].sum()) == (18, 7)
     found = table.set_index("claim")["value"]
     for zoom in thesis.ZOOMS:
         one_sample = 40.0 * thesis.FRAME_INTERVAL * thesis.effective_pixel(zoom)
