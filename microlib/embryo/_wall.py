@@ -8,11 +8,12 @@ outer flank of the wall.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
 from microlib._common import Array, NormalEquations, gauss_newton
@@ -20,6 +21,8 @@ from microlib._common import Array, NormalEquations, gauss_newton
 #: Largest distance between wall and middle of a profile, in the unit of the offsets. Canny's edge
 #: lies on the outer flank of the wall, in whole px. A range of 1.8 loses steep walls.
 _SEARCH_RANGE = 2.5
+#: Least number of samples of a profile, more than the four unknowns.
+_FEWEST = 6
 
 
 class WallPosition(NamedTuple):
@@ -67,6 +70,12 @@ def locate_wall(
     total residual. The position is NaN where the samples used do not extend by s to either side of
     the wall, or where the wall is outside the search range.
 
+    A step that is moved a little differs from the step by a bump. Where both coefficients are free
+    and the edge has no dark wall, the position is therefore uncertain by half a pixel. The fit is
+    repeated without a bump, and with a bump that is the same multiple of the step in all profiles.
+    It is used if its positions are clearly more certain. Without a wall, the position is where the
+    profile crosses the middle level.
+
     Examples
     --------
     >>> from microlib.embryo._wall import locate_wall
@@ -79,16 +88,48 @@ def locate_wall(
     (0.3, 1.1)
     """
     used = weights.astype(float)
-    too_few = used.sum(axis=1) < 6  # more than the four unknowns
-    if too_few.all():
+    if (used.sum(axis=1) < _FEWEST).all():
         raise ValueError("weights must leave at least 6 samples of a profile, got fewer in each")
 
-    def linearize(position: Array, numbers: NDArray[np.intp], blur: float) -> NormalEquations:
-        return _eliminate_linear(profiles[numbers], offsets, used[numbers], blur, position)
+    def fit(every: int, ratio: float | None, fit_ratio: bool = False) -> tuple[WallPosition, float]:
+        wall = _fit_walls(profiles[::every], offsets, used[::every], pixel, ratio, fit_ratio)
+        # Without NaN, which is the uncertainty of a wall that was not found.
+        return wall, float(np.nanmedian(np.append(wall.uncertainty, np.inf)))
 
-    def fit(numbers: NDArray[np.intp], blur: float) -> tuple[Array, NormalEquations]:
+    free, of_free = fit(1, None)
+    # Some profiles show whether there is a dark wall, for which a step alone is a bad fit.
+    if fit(8, 0.0)[1] > of_free:
+        return free
+    (step, of_step), (common, of_common) = fit(1, 0.0), fit(1, 0.0, True)
+    # The positions of a free fit follow a wall that changes along the outline, so that a ratio must
+    # make them clearly more certain; and so must a bump with respect to a step.
+    if min(of_step, of_common) > 0.75 * of_free:
+        return free
+    return step if of_step < 1.05 * of_common else common
+
+
+def _fit_walls(
+    profiles: Array,
+    offsets: Array,
+    used: Array,
+    pixel: float,
+    ratio: float | None,
+    ratio_is_fitted: bool,
+) -> WallPosition:
+    """Fit a blurred wall to each profile, with a free bump or one that is a multiple of the step.
+
+    The blur, and the ratio if it is fitted, are common to all profiles.
+    """
+
+    def linearize(
+        position: Array, numbers: NDArray[np.intp], shape: Sequence[float]
+    ) -> NormalEquations:
+        given = shape if ratio_is_fitted else (shape[0], ratio)
+        return _eliminate_linear(profiles[numbers], offsets, used[numbers], position, *given)
+
+    def fit(numbers: NDArray[np.intp], shape: Sequence[float]) -> tuple[Array, NormalEquations]:
         return gauss_newton(
-            lambda position, some: linearize(position, numbers[some], blur),
+            lambda position, some: linearize(position, numbers[some], shape),
             start[numbers],
             max_iterations=10,
             cost_tolerance=1e-5,
@@ -96,46 +137,70 @@ def locate_wall(
 
     def scan(numbers: NDArray[np.intp], blur: float) -> tuple[Array, float]:
         places = np.repeat(grid, numbers.size)[:, np.newaxis]
-        cost = linearize(places, np.tile(numbers, grid.size), blur).cost.reshape(grid.size, -1)
+        cost = linearize(places, np.tile(numbers, grid.size), (blur, 0.0)).cost
+        cost = cost.reshape(grid.size, -1)
         return grid[cost.argmin(axis=0), np.newaxis], float(cost.min(axis=0).sum())
 
     # The fit converges from the best place of a scan that has about the right blur.
     every = np.arange(len(profiles))
     grid = np.linspace(-_SEARCH_RANGE, _SEARCH_RANGE, 11)
-    start, _ = scan(every, min((0.7, 1.1, 1.7, 2.6), key=lambda s: scan(every[::16], s)[1]))
-    # Every fourth profile determines the blur well enough. An error of the blur by 1e-3 moves a
+    blur = min((0.7, 1.1, 1.7, 2.6), key=lambda blur: scan(every[::16], blur)[1])
+    start, _ = scan(every, blur)
+
+    # Every fourth profile determines the shape well enough. An error of the blur by 1e-3 moves a
     # wall by less than 1e-4.
-    search = {"bounds": (0.5, 3), "method": "bounded", "options": {"xatol": 1e-3}}
-    blur = float(minimize_scalar(lambda s: fit(every[::4], s)[1].cost.sum(), **search).x)
-    position, equations = fit(every, blur)
-    position = position[:, 0]
+    def total(shape: Sequence[float]) -> float:
+        return float(fit(every[::4], shape)[1].cost.sum())
+
+    if ratio_is_fitted:
+        corners = np.array([[blur, 0.0], [1.1 * blur, 0.0], [blur, 0.3]])
+        options = {"xatol": 1e-3, "fatol": np.inf, "initial_simplex": corners}
+        bounds = [(0.5, 3.0), (-1.0, 1.0)]
+        given = {"method": "Nelder-Mead", "bounds": bounds, "options": options}
+        shape = minimize(total, corners[0], **given).x.tolist()
+    else:
+        given = {"method": "bounded", "bounds": (0.5, 3.0), "options": {"xatol": 1e-3}}
+        shape = [float(minimize_scalar(lambda blur: total([blur]), **given).x)]
+    position, equations = fit(every, shape)
+    position, blur = position[:, 0], shape[0]
     # Samples closer together than a pixel count as samples one pixel apart.
     independent = min(1.0, float(np.diff(offsets).mean()) / pixel) * used.sum(axis=1)
-    noise = equations.cost.sum() / max(float(np.maximum(independent - 4, 0).sum()), 1.0)
+    unknowns = 4 if ratio is None else 3
+    noise = equations.cost.sum() / max(float(np.maximum(independent - unknowns, 0).sum()), 1.0)
     with np.errstate(divide="ignore"):  # nothing determines the position in a flat profile
         uncertainty = np.sqrt(noise / equations.matrix[:, 0, 0])
     first = np.where(used, offsets, np.inf).min(axis=1)
     last = np.where(used, offsets, -np.inf).max(axis=1)
     cut_off = (first > position - blur) | (last < position + blur)
-    missing = too_few | cut_off | (np.abs(position) > _SEARCH_RANGE)
+    missing = (used.sum(axis=1) < _FEWEST) | cut_off | (np.abs(position) > _SEARCH_RANGE)
     position[missing] = uncertainty[missing] = np.nan
     return WallPosition(position, uncertainty, blur)
 
 
 def _eliminate_linear(
-    profiles: Array, offsets: Array, used: Array, blur: float, position: Array
+    profiles: Array,
+    offsets: Array,
+    used: Array,
+    position: Array,
+    blur: float,
+    ratio: float | None,
 ) -> NormalEquations:
-    """Linearize the fit at positions (n, 1), with the best level, step and bump for each."""
+    """Linearize the fit at positions (n, 1), with the best level, step and bump for each.
+
+    The bump is free, or it is this multiple of the step.
+    """
     scaled = (offsets - position) / blur
-    bell = np.exp(-(scaled**2) / 2)
-    basis = used[..., np.newaxis] * np.stack([np.ones_like(scaled), ndtr(scaled), bell], axis=-1)
+    bell, rise = np.exp(-(scaled**2) / 2), ndtr(scaled)
+    shapes = [rise, bell] if ratio is None else [rise + ratio * bell]
+    basis = used[..., np.newaxis] * np.stack([np.ones_like(scaled), *shapes], axis=-1)
     transposed = basis.swapaxes(1, 2)
-    # Slightly damped, because a profile may have too few samples for all three.
-    normal = transposed @ basis + np.sqrt(np.finfo(float).eps) * np.eye(3)
+    # Slightly damped, because a profile may have too few samples for all of them.
+    normal = transposed @ basis + np.sqrt(np.finfo(float).eps) * np.eye(basis.shape[-1])
     to_linear = np.linalg.inv(normal) @ transposed
     linear = to_linear @ profiles[..., np.newaxis]
     residual = used * profiles - (basis @ linear)[..., 0]
-    _, step, bump = linear[..., 0].T[..., np.newaxis]
+    step = linear[:, 1]
+    bump = linear[:, 2] if ratio is None else ratio * step
     slope = used * bell * (scaled * bump - step / np.sqrt(2 * np.pi)) / blur
     # The part of the derivative that a change of the linear coefficients does not cancel.
     slope -= (basis @ (to_linear @ slope[..., np.newaxis]))[..., 0]
