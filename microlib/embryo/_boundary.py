@@ -75,19 +75,17 @@ class Boundary(FlatResult):
         return remove_probe(self.rotation.apply(grey), self.probe)
 
 
-def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool = True) -> Boundary:
+def extract_boundary(image: ArrayLike, *, direction: str = "auto") -> Boundary:
     """Find the outline of an embryo on the side where a probe presses it.
 
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey or color image, integer or float; bright ground, dark probe.
+        Grey or color image, integer or float; bright ground, and a dark probe within 4° of the
+        vertical or the horizontal.
     direction : {"auto", "top", "bottom", "left", "right"}
         Edge of the image that the probe comes from. ``"auto"`` is the first of the four, in this
         order, for which an outline is found.
-    dimple : bool, optional
-        Whether an outline must have a dimple. If False, the probe may also be at a distance from
-        the embryo, and the outline has no points under the probe.
 
     Returns
     -------
@@ -98,8 +96,8 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     Raises
     ------
     ValueError
-        If the image is saturated, no probe comes from the edge, the probe leans by more than 60°,
-        or the image shows no outline or no dimple on both sides of the probe.
+        If the image is saturated, no probe comes from the edge, the probe leans by more than 4°, or
+        the image shows no outline or no dimple on both sides of the probe.
 
     See Also
     --------
@@ -107,14 +105,16 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
 
     Notes
     -----
-    1. The probe is found. An image in which it leans by more than 4° is rotated.
+    1. The probe is found.
     2. The probe is replaced by the ground beside it, and Canny edges give the outline to a pixel.
     3. A blurred wall is fitted to the grey profile along each normal, twice. Its position is the
-       *middle* of the chorion. Samples within the blur of the probe are not used.
+       *middle* of the chorion, or that of the middle grey level if there is no dark wall. Samples
+       within the blur of the probe are not used.
     4. Under the probe, the outline is the end of the probe.
 
     The uncertainty covers the noise of the profiles. A wall that is darker outside than
-    inside shifts all points alike, by about 0.02 px. An image blurred by more than about 2.7 px
+    inside shifts all points alike, by about 0.02 px, and a wall that is hardly visible beside the
+    step of grey level by up to half the blur. An image blurred by more than about 2.7 px
     must be reduced first, for example to half of its size, with twice the `pixel_size`.
 
     Examples
@@ -136,7 +136,7 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     reasons: dict[str, list[str]] = {}
     for edge in DIRECTIONS if direction == "auto" else (direction,):
         try:
-            return _extract_from_above(whole, Rotation(whole.shape[::-1], edge), dimple)
+            return _extract_from_above(whole, Rotation(whole.shape[::-1], edge))
         except ValueError as reason:
             reasons.setdefault(str(reason), []).append(edge)
     raise ValueError(
@@ -144,19 +144,19 @@ def extract_boundary(image: ArrayLike, *, direction: str = "auto", dimple: bool 
     )
 
 
-def _extract_from_above(whole: NDArray[np.float32], rotation: Rotation, dimple: bool) -> Boundary:
+def _extract_from_above(whole: NDArray[np.float32], rotation: Rotation) -> Boundary:
     """Find the outline on both sides of a probe that comes from above."""
-    grey, probe, rotation = find_probe(whole, rotation)
+    grey = np.ascontiguousarray(rotation.apply(whole))
+    probe = find_probe(grey)
     edges, blur = _trace_outline(remove_probe(grey, probe), probe)
     sides = [_resample(side, _spacing(blur)) for side in edges]
-    if dimple:
-        _check_dimple(sides, probe)
+    _check_dimple(sides, probe)
     spline = spline_filter(grey, 3)
     for _ in range(2):
         sides, blur = _refine_on_wall(spline, sides, probe, blur)
 
     reach = int(probe.half_width)
-    hidden = probe.tip[0] + np.arange(-reach, reach + 1.0 if dimple else -reach)
+    hidden = probe.tip[0] + np.arange(-reach, reach + 1.0)
     # The uncertainty of points under the probe is a nominal half pixel: they are not fitted.
     tip = np.stack([hidden, np.full(hidden.size, probe.tip[1]), np.full(hidden.size, 0.5)])
     x, y, uncertainty = np.concatenate([*sides, tip], axis=1)
