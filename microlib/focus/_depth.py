@@ -20,7 +20,6 @@ from microlib.focus._stack import (
     Progress,
     bad_frames,
     change_between,
-    grey_levels,
     margin_mask,
     read_stack,
 )
@@ -50,7 +49,7 @@ def depth_from_focus(
         be an array, a multi-page TIFF or OME-TIFF, a folder or file-name pattern of images, a
         video, or an iterable of images or image files, such as a generator;
         `microlib.io.read_frames` describes these forms. Color frames are converted to luminance.
-        All frames are held in memory.
+        The luminance of all frames is held in memory; color files are read twice.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata.
@@ -161,10 +160,10 @@ def depth_from_focus(
     # Reading, registration, depths, and the all-in-focus image.
     stages = 4 if register else 3
     source = read_frames(frames, region=region, reduce=reduce, color=True)
-    stack = read_stack(source, positions, spacing, lambda done, n: report(done, stages * n))
-    colors, grey = list(stack) if stack.color else None, grey_levels(stack)
-    stack = replace(stack, frames=())  # so that only these lists hold frames
-    count, margin, z = len(grey), margin_mask(grey), np.asarray(stack.positions)
+    grey, colors, z = read_stack(
+        source, positions, spacing, lambda done, n: report(done, stages * n)
+    )
+    count, margin = len(grey), margin_mask(grey)
 
     def finish(stage: float, share: float) -> None:
         report(round(count * (stage + share)), stages * count)
@@ -198,11 +197,12 @@ def depth_from_focus(
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
     images: Iterable[Image] = grey
     if colors is not None:
-        images = (registration.aligned(colors[k], k) if registration else colors[k] for k in kept)
+        known = ((k, image) for k, image in enumerate(colors) if k in kept)
+        images = (registration.aligned(f, k) if registration else f for k, f in known)
     del grey  # in color no longer needed
     return build_result(
         found,
-        replace(stack, frames=images, positions=z[kept]),
+        replace(source, frames=images, positions=z[kept]),
         kept,
         registration=registration,
         margin=margin,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations, islice
 
 import cv2
@@ -24,8 +23,19 @@ _WINDOW = 6
 
 def read_stack(
     source: Stack, positions: ArrayLike | None, spacing: float | None, progress: Progress
-) -> Stack:
-    """Return a stack in memory, with its positions; check first what needs no frame."""
+) -> tuple[list[Image], Iterable[Image] | None, Array]:
+    """Read a stack; check first what needs no frame.
+
+    Returns
+    -------
+    list of ndarray
+        The grey levels of the frames, their luminance if they are in color.
+    iterable of ndarray or None
+        The frames in color if they are. Those of files are read again when they are needed, others
+        are held in memory.
+    ndarray, shape (n,)
+        Their positions, µm.
+    """
     if source.axis == "T":
         raise ValueError(
             f"frames must differ in focus, got a file of {source.count} times (axis T); if they "
@@ -37,14 +47,17 @@ def read_stack(
         # The length of an iterator is not known; there must be as many frames as positions.
         count = len(z)
         check_count(source.count or count, count)
-    images: list[Image] = []
+    grey: list[Image] = []
+    colors: list[Image] = []
     for image in islice(source, None if count is None else count + 1):
-        images.append(image)
+        if source.color and not source.files:
+            colors.append(image)
+        grey.append(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if source.color else image)
         if count is not None:
-            progress(min(len(images), count), count)
-    z = check_positions(positions, spacing, len(images)) if z is None else z
-    check_count(len(images) if len(images) <= len(z) else f"more than {len(z)}", len(z))
-    return replace(source, frames=images, count=len(images), positions=z)
+            progress(min(len(grey), count), count)
+    z = check_positions(positions, spacing, len(grey)) if z is None else z
+    check_count(len(grey) if len(grey) <= len(z) else f"more than {len(z)}", len(z))
+    return grey, (colors or source) if source.color else None, z
 
 
 def check_positions(
@@ -77,11 +90,6 @@ def check_count(got: int | str, count: int) -> None:
     """Raise an error if there are not as many frames as positions."""
     if got != count:
         raise ValueError(f"frames and positions must be equal in number, got {got} and {count}")
-
-
-def grey_levels(stack: Stack) -> list[Image]:
-    """Return a list of the frames of a stack in memory, or their luminance if they are in color."""
-    return [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) if stack.color else f for f in stack]
 
 
 def bad_frames(frames: Sequence[Image]) -> NDArray[np.bool_]:

@@ -52,7 +52,7 @@ MAPS = {
     "to_dict": {
         **dict.fromkeys(("depth_least", "depth_median", "depth_largest"), um.counted_from("z0")),
         **dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um),
-        **dict.fromkeys(("rows", "columns", "known", "at_end"), NUMBER),
+        **dict.fromkeys(("rows", "columns", "known", "at_end", "registered"), NUMBER),
     },
 }
 #: float32 grey levels and depths of up to 150 µm, at a curvature of the peak of 0.1.

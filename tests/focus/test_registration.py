@@ -9,15 +9,18 @@ from __future__ import annotations
 import tracemalloc
 import warnings
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 
 from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
+from microlib.io import read_frames
 from tests.focus.scenes import defocused, inner, rms
 from tests.scenes import camera_frame
 
@@ -215,6 +218,26 @@ def test_registration_adds_less_memory_than_the_color_stack_takes() -> None:
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[1] - peaks[0] < color[3:12].nbytes
+
+
+@pytest.mark.parametrize("register", [False, True])
+def test_colors_of_a_file_are_not_held_while_depths_are_computed(
+    register: bool, tmp_path: Path
+) -> None:
+    grey = np.tile(disturbed(scene("dome", 1)[0], 1), (1, 3, 3))
+    color = np.stack([grey, 255 - grey, grey // 2], axis=3)
+    tifffile.imwrite(tmp_path / "a.tif", color, photometric="rgb")
+    expected = depth_from_focus(color, POSITIONS, register=register)
+    peaks = []
+    for held in (list(read_frames(tmp_path / "a.tif", color=True)), tmp_path / "a.tif"):
+        tracemalloc.start()
+        frames = held if isinstance(held, Path) else [frame.copy() for frame in held]
+        result = depth_from_focus(frames, POSITIONS, register=register)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert_same(result, expected)
+        np.testing.assert_array_equal(result.all_in_focus, expected.all_in_focus)
+    assert peaks[0] - peaks[1] > 0.8 * color.nbytes
 
 
 def test_depth_is_nan_where_a_frame_shows_nothing() -> None:
