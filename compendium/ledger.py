@@ -679,7 +679,9 @@ def check_equation(
         )
 
 
-def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
+def report(
+    id: str, value: float, unit: str = "", *, digits: int = 2, toward: float = 0.0
+) -> Record:
     """Record a number that has no printed counterpart, so that the prose can quote it.
 
     Parameters
@@ -692,18 +694,26 @@ def report(id: str, value: float, unit: str = "", *, digits: int = 2) -> Record:
         Its unit; empty for pure numbers.
     digits : int
         Decimal places to show.
+    toward : float
+        Where to round the last of them: -inf for what the prose calls “at least”, inf for “at
+        most”; 0 for the nearest.
 
     Examples
     --------
+    >>> import math
     >>> from compendium.ledger import report
     >>> print(report("4/example", 1.27791, digits=2))
     1.28
+    >>> print(report("4/example", 1.27791, digits=2, toward=-math.inf))
+    1.27
     """
     if id in {**claims(), **settings()}:
         raise ValueError(f"id must not be that of a claim, got {id!r}")
     if not math.isfinite(value):
         raise ValueError(f"value of {id} must be finite, got {value}")
     number = float(value)
+    if toward:
+        number = (math.floor if toward < 0 else math.ceil)(number * 10**digits) / 10**digits
     return _session.add(Record(id, number, number, number, unit, "result", digits))
 
 
