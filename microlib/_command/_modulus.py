@@ -31,8 +31,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(a: argparse.Namespace, session: Session) -> End:
     """Young's modulus of a membrane from the outline of its dimple, by several models.
 
-    The range over the models is the result; each model alone has an interval that covers only the
-    errors of the inputs. Which model suits which dimple: guide 07_guide_modulus.
+    The range over the models is the result. The interval of one model covers only the errors of the
+    inputs. The :ref:`table of models <which-model>` says which model suits which dimple.
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
     --probe-half-width 25 --poisson-ratio 0.5 -o modulus.csv
@@ -85,7 +85,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(drawn))
     session.say(
         "The table has the modulus by each model, the interval of (5.2), and the values that they "
-        "were computed from."
+        "were computed from. The guide to the modulus says which model suits which dimple."
     )
     return End()
 
