@@ -32,7 +32,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     """Young's modulus of a membrane from the outline of its dimple, by several models.
 
     The range over the models is the result. The interval of one model covers only the errors of the
-    inputs. The :ref:`table of models <which-model>` says which model suits which dimple.
+    inputs. The guide 07_guide_modulus says which model suits which dimple.
 
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
     --probe-half-width 25 --poisson-ratio 0.5 -o modulus.csv
