@@ -6,10 +6,8 @@ import argparse
 import re
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from microlib._command._options import resolve_scales
 from microlib._command._session import End, Session, picture, text
@@ -23,6 +21,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     """Measure the pixel size of each objective, which has the name of its photograph."""
     import pandas as pd
 
+    from microlib._plots import micrometers
     from microlib.calibration import detect_micrometer
     from microlib.io import image_files, read_grey
 
@@ -56,7 +55,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("objectives.csv", text(table.to_csv(lineterminator="\n")))
     session.write("micromanager.txt", text(_micro_manager(digits)))
     session.write("imagej.ijm", text(_imagej(digits)))
-    session.write("look.png", picture(partial(_picture, images, scales)))
+    session.write("look.png", picture(partial(micrometers, scales, images)))
     for name, size in sizes.items():
         session.say(f"{name}: {size}, {len(scales[name].points)} lines")
     return End()
@@ -101,15 +100,3 @@ for (i = 0; i < names.length; i++)
     if (names[i] == name)
         run("Set Scale...", "distance=1 known=" + sizes[i] + " pixel=1 unit=um");
 """
-
-
-def _picture(images: Mapping[str, NDArray], scales: Mapping[str, Any]) -> Any:
-    """Draw each photograph with the points of its lines."""
-    from microlib._plots._axes import FOUND, new_axes, show_image
-
-    (axes,) = new_axes(1, len(images), 4.0, 3.5)
-    for ax, (name, image) in zip(axes, images.items(), strict=True):
-        show_image(ax, image)
-        ax.plot(*scales[name].points.T, "o", ms=4, mfc="none", color=FOUND)
-        ax.set_title(f"{name}: {len(scales[name].points)} lines")
-    return axes[0].figure

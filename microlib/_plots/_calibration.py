@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil, sqrt
 from typing import Any
 
@@ -45,6 +45,16 @@ def marks(
         else:
             show_image(panel_ax, image)
         _draw_view(panel_ax, detection, part, factor, 5 if len(axes) == 1 else 2)
+    return axes[0].figure
+
+
+def micrometers(scales: Mapping[str, Any], images: Mapping[str, NDArray]) -> Any:
+    """Draw the lines of stage micrometers on their photographs, each by its name."""
+    (axes,) = new_axes(1, len(scales), 4.0, 3.5)
+    for ax, (name, scale) in zip(axes, scales.items(), strict=True):
+        show_image(ax, images[name])
+        ax.plot(*scale.points.T, "o", ms=4, mfc="none", color=FOUND)
+        ax.set_title(f"{name}: {len(scale.points)} lines")
     return axes[0].figure
 
 

@@ -9,7 +9,7 @@ outer flank of the wall.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,16 +91,19 @@ def locate_wall(
     if (used.sum(axis=1) < _FEWEST).all():
         raise ValueError("weights must leave at least 6 samples of a profile, got fewer in each")
 
-    def fit(every: int, ratio: float | None, fit_ratio: bool = False) -> tuple[WallPosition, float]:
-        wall = _fit_walls(profiles[::every], offsets, used[::every], pixel, ratio, fit_ratio)
+    def fit(
+        ratio: float | None, fit_ratio: bool = False, *, every: int = 1, blur: float | None = None
+    ) -> tuple[WallPosition, float]:
+        some = profiles[::every], offsets, used[::every]
+        wall = _fit_walls(*some, pixel, ratio, fit_ratio, blur)
         # Without NaN, which is the uncertainty of a wall that was not found.
         return wall, float(np.nanmedian(np.append(wall.uncertainty, np.inf)))
 
-    free, of_free = fit(1, None)
+    free, of_free = fit(None)
     # Some profiles show whether there is a dark wall, for which a step alone is a bad fit.
-    if fit(8, 0.0)[1] > of_free:
+    if fit(0.0, every=8, blur=free.blur)[1] > 1.5 * of_free:
         return free
-    (step, of_step), (common, of_common) = fit(1, 0.0), fit(1, 0.0, True)
+    (step, of_step), (common, of_common) = fit(0.0), fit(0.0, True)
     # The positions of a free fit follow a wall that changes along the outline, so that a ratio must
     # make them clearly more certain; and so must a bump with respect to a step.
     if min(of_step, of_common) > 0.75 * of_free:
@@ -115,10 +118,11 @@ def _fit_walls(
     pixel: float,
     ratio: float | None,
     ratio_is_fitted: bool,
+    known_blur: float | None,
 ) -> WallPosition:
     """Fit a blurred wall to each profile, with a free bump or one that is a multiple of the step.
 
-    The blur, and the ratio if it is fitted, are common to all profiles.
+    The blur, if it is not known, and the ratio, if it is fitted, are common to all profiles.
     """
 
     def linearize(
@@ -152,15 +156,16 @@ def _fit_walls(
     def total(shape: Sequence[float]) -> float:
         return float(fit(every[::4], shape)[1].cost.sum())
 
+    shape = [known_blur or blur]
     if ratio_is_fitted:
         corners = np.array([[blur, 0.0], [1.1 * blur, 0.0], [blur, 0.3]])
         options = {"xatol": 1e-3, "fatol": np.inf, "initial_simplex": corners}
         bounds = [(0.5, 3.0), (-1.0, 1.0)]
-        given = {"method": "Nelder-Mead", "bounds": bounds, "options": options}
-        shape = minimize(total, corners[0], **given).x.tolist()
-    else:
-        given = {"method": "bounded", "bounds": (0.5, 3.0), "options": {"xatol": 1e-3}}
-        shape = [float(minimize_scalar(lambda blur: total([blur]), **given).x)]
+        how: Any = {"method": "Nelder-Mead", "bounds": bounds, "options": options}
+        shape = minimize(total, corners[0], **how).x.tolist()
+    elif known_blur is None:
+        how = {"method": "bounded", "bounds": (0.5, 3.0), "options": {"xatol": 1e-3}}
+        shape = [float(minimize_scalar(lambda blur: total([blur]), **how).x)]
     position, equations = fit(every, shape)
     position, blur = position[:, 0], shape[0]
     # Samples closer together than a pixel count as samples one pixel apart.
