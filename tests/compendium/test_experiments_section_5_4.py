@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compendium import thesis
+from compendium import ledger, thesis
 from compendium.experiments import section_5_4, servo_disturbances
 
 
@@ -87,3 +87,10 @@ def test_known_disturbance_is_identified(station, monkeypatch):
     assert table["deviation"].iloc[0] < 0.1 < 0.3 < table["deviation"].iloc[1]
     logs = np.log(numbers[label]["fitted"] / numbers[label]["printed"])
     assert np.sqrt(np.mean(logs**2)) == pytest.approx(table["deviation"].iloc[0])
+
+
+def test_one_speed_and_one_rest_give_both_settling_times():
+    speed, rest = section_5_4.common_speed()
+    for zoom in thesis.ZOOMS:
+        time = 50 * thesis.effective_pixel(zoom) / speed + rest
+        assert time == pytest.approx(ledger.claim(f"table-5.3/{zoom}/settling-time").value)
