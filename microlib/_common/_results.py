@@ -11,11 +11,10 @@ import numpy as np
 
 #: Labels of the numbers of a field along its last axis; others are labeled by their index.
 _PARTS = {
-    **dict.fromkeys(("bottom", "center", "drift", "rim", "tip", "pixel_size"), ("x", "y")),
+    **dict.fromkeys(("bottom", "center", "drift", "rim", "tip"), ("x", "y")),
     **dict.fromkeys(("pixel_pitch", "principal_offset"), ("x", "y")),
-    **dict.fromkeys(("interval", "domain"), ("low", "high")),
-    **dict.fromkeys(("region", "frame"), ("x", "y", "width", "height")),
     **dict.fromkeys(("image_size", "size"), ("width", "height")),
+    "domain": ("low", "high"),
     "rim_curvatures": ("left", "right"),
 }
 
