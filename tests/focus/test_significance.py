@@ -5,6 +5,7 @@ import warnings
 import cv2
 import numpy as np
 import pytest
+from skimage import data
 
 from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
@@ -180,6 +181,17 @@ def test_wrong_depth_of_a_thin_bar_is_uncertain(width: int) -> None:
         error, stated = inner(np.abs(found.depth - near)), inner(found.uncertainty)
         wrong.append(np.mean((error > np.maximum(3 * stated, 5))[inner(cover) > 0.99]))
     assert np.mean(wrong) < 0.05
+
+
+def test_weak_texture_of_a_photograph_does_not_look_like_thin_objects():
+    """At 0.5.0 a third of the pixels had a stated uncertainty of less than half a frame."""
+    texture = data.moon()[128:256, 192:352].astype(float)
+    depth = 3 + synthetic.paraboloid(texture.shape, 8.0)
+    found = depth_from_focus(stack_of(depth, np.arange(15.0), texture=texture), spacing=1.0)
+    error, stated = inner(np.abs(found.depth - depth)), inner(found.uncertainty)
+    sure = stated < 0.5
+    assert sure.mean() > 0.75
+    assert np.mean(error[sure] > np.maximum(1, 3 * stated[sure])) < 0.002
 
 
 @pytest.mark.parametrize("quality", [None, 60, 90])

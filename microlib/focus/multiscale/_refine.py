@@ -12,6 +12,7 @@ from microlib.focus.common import Spread, run_jobs, smooth_planes
 from microlib.focus.multiscale._axis import Axis, peak_locking_bias
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, relative
+from microlib.focus.multiscale._measure import NoiseFloor
 from microlib.focus.multiscale._peaks import Peaks
 from microlib.focus.multiscale._relief import (
     direction_offsets,
@@ -62,7 +63,7 @@ def refine(
     variance, thin = run_jobs(
         spread,
         lambda: error_variance(depth + relief, half_difference, peaks.disagreement, settings),
-        lambda: thin_object_error(depth, fits, settings, typical_strength),
+        lambda: thin_object_error(depth, peaks, fits, axis, settings, typical_strength),
     )
     drift = np.interp(np.nan_to_num(depth), axis.coordinates, axis.drift_bias).astype(np.float32)
     # Peak locking depends on texture: as much as was subtracted may remain.
@@ -72,17 +73,22 @@ def refine(
 
 
 def thin_object_error(
-    depth: NDArray, fits: Fits, settings: FocusSettings, typical_strength: float
+    depth: NDArray, peaks: Peaks, fits: Fits, axis: Axis, settings: FocusSettings, strength: float
 ) -> NDArray:
     """Return half the distance of a depth from peaks that the smoothing removed nearby.
 
     What is a few pixels wide has peaks of its own at a few pixels, whereas noise moves single ones.
     Bars of 4 px have a wrong depth with a small uncertainty in 3 % of their pixels by this, and in
-    6 % where three of nine pixels must agree or the weight is not three times the strength.
+    6 % where three of nine pixels must agree or the weight is not three times the strength. A peak
+    counts if it is 40 times as high as one of noise, and if the measures agree on it as they do on
+    narrow bars. Otherwise noise and halos would double the stated uncertainty on photographs.
     """
     gap = np.abs(fill_nearest(fits.depth) - depth)
-    gap *= np.minimum(3 * relative(fits.strength, typical_strength), 1)
-    apart = (gap > settings.jump).astype(np.float32)
+    gap *= np.minimum(3 * relative(fits.strength, strength), 1)
+    floor = NoiseFloor.of(axis.noise, settings)
+    clear = fits.top > 40 * floor.fine * floor.coarse
+    clear &= peaks.local_disagreement < 2 * settings.disagreement
+    apart = ((gap > settings.jump) & clear).astype(np.float32)
     alone = cv2.boxFilter(apart, -1, (3, 3), normalize=False) < 2
     gap[(apart == 0) | alone] = 0
     return np.asarray(0.5 * cv2.dilate(gap, np.ones((9, 9), np.uint8)))
