@@ -30,12 +30,13 @@ def of_printed_numbers() -> dict[str, float]:
     ]
     every_width = np.linspace(0.01, 0.99, 981) * table["table-5.6/a"]
     settling = [table[f"table-5.3/{zoom}/settling-time"] for zoom in thesis.ZOOMS]
+    thickness = thesis.MEMBRANE["thickness"]
     return {
+        "section-4/contact-mechanics": table["table-5.6/w_d"] / thickness,
         "section-4.1/small-slopes": chapter_4.probe_sines(every_width).min(),
         "section-5.4/settles-in-a-second": max(settling),
         "section-5.4/tracked-accurately": float(np.mean([px <= 1 for px in on_paths])),
-        "section-6/precise-and-accurate": sum(px <= 1 for px in in_pixels.values())
-        / len(in_pixels),
+        "section-6/precise-and-accurate": float(np.mean([px <= 1 for px in in_pixels.values()])),
     }
 
 
