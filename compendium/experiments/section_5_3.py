@@ -184,16 +184,18 @@ def esm_study(seed: int, steps: ArrayLike, grains: ArrayLike, trials: int) -> pd
     pandas.DataFrame
         Trials in which `esm_shift` errs by less than a pixel: a row each step, a column each grain.
     """
-    table = pd.DataFrame(0, index=pd.Index(steps, name="step (px)"), columns=pd.Index(grains))
+    lengths, widths = np.asarray(steps, dtype=float), np.asarray(grains, dtype=float)
+    table = pd.DataFrame(0, pd.Index(lengths, name="step (px)"), pd.Index(widths))
     side = thesis.WINDOW
-    corner = int(np.ceil(table.index.max())) + 2  # of the square; it stays inside the frame
-    for n, (step, grain) in enumerate(itertools.product(table.index, table.columns)):
+    corner = int(np.ceil(lengths.max())) + 2  # of the square; it stays inside the frame
+    for n, (step, grain) in enumerate(itertools.product(lengths, widths)):
         for trial in range(trials):
             rng = np.random.default_rng([seed, n, trial])
             angle = rng.uniform(0, 2 * np.pi)
             motion = step * np.array([np.cos(angle), np.sin(angle)])
-            frames = texture_sequence([[corner] * 2, corner + motion], rng, size=side, grain=grain)
-            found = esm_shift(*frames, (corner, corner, side, side))
+            path = [[corner] * 2, corner + motion]
+            first, then = texture_sequence(path, rng, size=side, grain=grain)
+            found = esm_shift(first, then, (corner, corner, side, side))
             table.loc[step, grain] += np.linalg.norm(found - motion) < 1.0
     return table
 
