@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from microlib._common import ArgumentError, Frames, Image, as_integer
 from microlib.focus import multiscale
 from microlib.focus._measures import FocusMeasure, single_measure
+from microlib.focus._registration import Registration
 from microlib.focus._registration import register as find_registration
 from microlib.focus._result import FocusResult, build_result
 from microlib.focus._stack import (
@@ -165,29 +166,10 @@ def depth_from_focus(
     )
     count, margin = len(grey), margin_mask(grey)
 
-    def finish(stage: float, share: float) -> None:
+    def finish(stage: int, share: float) -> None:
         report(round(count * (stage + share)), stages * count)
 
-    kept, change, registration = np.arange(count), "", None
-    if register is not True:
-        kept = np.flatnonzero(~bad_frames(grey))
-        change = change_between([grey[k] for k in kept], margin)
-    if change:
-        remedy = "register=True (--register) corrects it"
-        if register:
-            remedy = "brightness corrected" if change == "light" else "registered"
-        warnings.warn(f"frames change in {change} from one to the next: {remedy}", stacklevel=2)
-    if register is True or (register and change):
-        registration = find_registration(
-            grey, at_rest=change == "light", done=lambda share: finish(1, share / 2)
-        )
-        kept = registration.kept
-        grey = registration.align(grey, done=lambda share: finish(1.5, share / 2))
-    elif len(kept) < count:
-        names = ", ".join(map(str, np.setdiff1d(np.arange(count), kept)))
-        reasons = "are uniform, repeated or of another brightness: left out"
-        warnings.warn(f"frames {names} {reasons}", stacklevel=2)
-        grey = [grey[k] for k in kept]
+    grey, kept, registration = _usable_frames(grey, margin, register, partial(finish, 1))
     done = partial(finish, stages - 2)
     if single is None:
         found = multiscale.multiscale_depth(grey, z[kept], workers=threads, done=done)
@@ -208,3 +190,39 @@ def depth_from_focus(
         margin=margin,
         done=partial(finish, stages - 1),
     )
+
+
+def _usable_frames(
+    grey: list[Image],
+    margin: NDArray[np.bool_],
+    register: bool | Literal["auto"],
+    done: Callable[[float], object],
+) -> tuple[list[Image], NDArray[np.intp], Registration | None]:
+    """Return the frames that are used, aligned if they are registered; their numbers; and how.
+
+    Warns
+    -----
+    UserWarning
+        If frames are left out, or if their light, position or scale changes.
+    """
+    count = len(grey)
+    kept, change = np.arange(count), ""
+    if register is not True:
+        kept = np.flatnonzero(~bad_frames(grey))
+        change = change_between([grey[k] for k in kept], margin)
+    if change:
+        remedy = "register=True (--register) corrects it"
+        if register:
+            remedy = "brightness corrected" if change == "light" else "registered"
+        warnings.warn(f"frames change in {change} from one to the next: {remedy}", stacklevel=3)
+    if register is True or (register and change):
+        registration = find_registration(
+            grey, at_rest=change == "light", done=lambda share: done(share / 2)
+        )
+        aligned = registration.align(grey, done=lambda share: done((1 + share) / 2))
+        return aligned, registration.kept, registration
+    if len(kept) < count:
+        names = ", ".join(map(str, np.setdiff1d(np.arange(count), kept)))
+        reasons = "are uniform, repeated or of another brightness: left out"
+        warnings.warn(f"frames {names} {reasons}", stacklevel=3)
+    return [grey[k] for k in kept], kept, None

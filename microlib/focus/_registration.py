@@ -61,8 +61,8 @@ class Registration:
     def align(self, frames: list[Image], done: Callable[[float], object]) -> list[NDArray]:
         """Return the kept frames aligned; each replaces its frame in the list, to save memory.
 
-        Frames of 8 bits are returned in half precision, which has three digits behind the point
-        for them, all others in single precision. `done` is called with the share that is finished.
+        Frames of 8 bits are returned in half precision, which resolves an eighth of a grey level,
+        all others in single precision. `done` is called with the share that is finished.
         """
         kind = np.float16 if frames[0].dtype == np.uint8 else np.float32
         for finished, k in enumerate(self.kept, 1):
@@ -137,7 +137,7 @@ def register(
                 f"frames must show one scene to be registered, got {len(kept)} of {count} that do; "
                 f"frames {names} cannot be registered to those before them"
             )
-        warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=3)
+        warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=4)
     reference = int(kept[np.abs(kept - count // 2).argmin()])
     inverse = np.linalg.inv(most[reference])
     relative = {k: np.eye(3) if at_rest else most[k] @ inverse for k in most}

@@ -162,5 +162,6 @@ def change_between(frames: Sequence[Image], margin: NDArray[np.bool_]) -> str:
     # At rest one of the motions stays below 0.2 px; light that scatters by 2 % gives 0.06.
     if min(motion.size for motion in motions) > 0.25:
         _, shift, growth, turn = np.median(motions, axis=0)
-        return f"position or scale (by {shift:.1f} px, {100 * growth:.2f} % and {turn:.2f}°)"
+        percent, degrees = np.round([100 * growth, turn], 2) + 0.0  # no -0
+        return f"position or scale (by {shift:.1f} px, {percent:g} % and {degrees:g}°)"
     return "light" if flicker > 0.06 or drift > 0.2 else ""
