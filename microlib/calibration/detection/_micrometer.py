@@ -254,10 +254,14 @@ def _direction(grey: NDArray[np.float32], settings: DetectionSettings) -> float:
     gx, gy = (cv2.Sobel(grey, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
     first = float(np.angle(np.sum((gx + 1j * gy).astype(np.complex128) ** 2))) / 2
     turns = first + np.linspace(-settings.angle_range, settings.angle_range, settings.angle_count)
-    changes = [np.diff(_mean(_turned(grey, turn)[0])) ** 2 for turn in turns]
-    # A strip with a large rotation has no complete column.
-    sharp = [np.nansum(each) / max(np.isfinite(each).sum(), 1) for each in changes]
-    return float(turns[np.argmax(sharp)])
+
+    def sharpness(turn: float) -> float:
+        change = np.diff(_mean(_turned(grey, turn)[0])) ** 2
+        # A strip with a large rotation has no complete column.
+        return float(np.nansum(change) / max(np.isfinite(change).sum(), 1))
+
+    coarse = max(turns[::4], key=sharpness)
+    return float(max(turns[np.argsort(np.abs(turns - coarse))[:7]], key=sharpness))
 
 
 def _turned(grey: NDArray[np.float32], angle: float) -> tuple[NDArray[np.float32], Array]:

@@ -63,8 +63,8 @@ def indent_capsule(
     Parameters
     ----------
     force : float
-        Force F of the probe, in µN. Without a force, the state is the inflated sphere. A force that
-        is too small to flatten the wall on the whole face of the probe is rejected.
+        Force F of the probe, in µN. A force that is too small to flatten the wall on the whole face
+        of the probe is rejected.
     modulus : float
         Elastic modulus E at small strain, in MPa.
     capsule_radius : float
@@ -144,16 +144,11 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    load = as_scalar("force", force, least=0)
+    load = as_scalar("force", force, above=0)
     stiffness = as_scalar("modulus", modulus, above=0)
     stretch = as_scalar("inflation", inflation, least=1)
     r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
     material = constitutive_law(law, poisson_ratio)
-    if load == 0:  # from the top of the sphere to the plate
-        angle = np.linspace(0.0, np.pi, 161)
-        stress, same = material.equibiaxial_stress(stretch), np.ones((2, angle.size))
-        sphere = np.vstack([np.sin(angle), 1 + np.cos(angle), stretch * same, stress * same])
-        return dimensional_state(sphere, stiffness, h, r0, pressure=2 * stress / stretch)
     unit = stiffness * h * r0
     try:
         problem, solution = CapsuleProblem(
