@@ -124,7 +124,7 @@ class Entry:
 
     @property
     def condition(self) -> str:
-        """What a recomputed number must fulfil, ``< 1``; empty if it is compared with a number."""
+        """What a recomputed number must fulfill, ``< 1``; empty if it is compared with a number."""
         return self.printed if self.printed.startswith((">", "<")) else ""
 
     @property
@@ -228,7 +228,7 @@ class Contradicts(Compared):
 
     def objection(self, value: float, low: float, high: float) -> str:
         if self.condition:
-            holds = any(_fulfils(self.condition, end) for end in (low, high))
+            holds = any(_fulfills(self.condition, end) for end in (low, high))
         else:
             holds = abs(value - self.value) <= half_ulp(self.printed) + (high - low) / 2
         if holds:
@@ -310,7 +310,7 @@ KINDS = {kind.verdict.word: kind for kind in (Follows, Contradicts, Possible, Op
 ORDER = (*(verdict.word for verdict in Verdict), "setting")
 
 
-def _fulfils(condition: str, number: float) -> bool:
+def _fulfills(condition: str, number: float) -> bool:
     sign, limit = condition.split()
     return bool(_COMPARISONS[sign](number, float(limit)))
 
@@ -321,7 +321,7 @@ def _in_words(entry: Entry) -> str:
 
 
 def _unfulfilled(entry: Entry, low: float, high: float) -> str:
-    holds = all(_fulfils(entry.condition, end) for end in (low, high))
+    holds = all(_fulfills(entry.condition, end) for end in (low, high))
     return "" if holds else _in_words(entry)
 
 
@@ -718,18 +718,7 @@ def report(
 
 
 def summary(prefix: str = "") -> pd.DataFrame:
-    """Tabulate what this notebook has checked so far.
-
-    Parameters
-    ----------
-    prefix : str
-        Only claims whose id begins with it, ``table-5.6``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row for each claim, by its id: quantity, printed, recomputed, unit, verdict.
-    """
+    """Tabulate what this notebook has checked so far, of claims whose id begins with `prefix`."""
     rows = {
         record.id: {
             "quantity": entry.what,

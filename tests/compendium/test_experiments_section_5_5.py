@@ -18,7 +18,7 @@ LIMITS = {"ball-top-cylindric": "> 0.5"}
 
 
 def fits(name: str, value: float) -> bool:
-    """The number fulfils the sentence."""
+    """The number fulfills the sentence."""
     limit = LIMITS.get(name) or ledger.claim(f"section-5.5/{name}").condition
     sentence = ledger.Possible(id=name, what="", where="", limit=limit)
     return not sentence.objection(value, value, value)
