@@ -140,7 +140,7 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
         given = f"--{name.replace('_', '-')}" in line
         assert f"{name} {scale} (the file)" in printed or given
         assert f"{name} {scale}" not in printed or not given
-    at_rest = "frames do not change in light, position or scale: not registered"
+    at_rest = "no change of light, position or scale is detected: not registered"
     assert (at_rest in printed) == ("auto" in line)
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}

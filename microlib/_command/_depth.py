@@ -99,7 +99,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(result.plot))
     session.say(result)
     if a.register == "auto" and result.warps is None:
-        session.say("frames do not change in light, position or scale: not registered")
+        session.say("no change of light, position or scale is detected: not registered")
     return End()
 
 
