@@ -34,6 +34,7 @@ def open_array(frames: Any) -> Stack:
 
 def open_items(items: Iterable[Any]) -> Stack:
     """Return the images of a sequence or an iterator, or of the files that it names."""
+    count = len(items) if isinstance(items, Sequence) else None
 
     def images() -> Iterator[NDArray]:
         for k, item in enumerate(items):
@@ -42,10 +43,10 @@ def open_items(items: Iterable[Any]) -> Stack:
             else:
                 reject_masks(f"frames[{k}]", item)
                 # A camera may hand out the same buffer again and again.
-                yield np.array(item)
+                yield np.array(item) if count is None else np.asarray(item)
 
     if not isinstance(items, Iterator):
-        return open_stack(images, count=len(items) if isinstance(items, Sequence) else None)
+        return open_stack(images, count=count)
     return _open_iterator(images())
 
 

@@ -231,5 +231,6 @@ def _mesh(height: ArrayLike, pixel_size: float) -> tuple[NDArray[np.bool_], NDAr
     number = np.cumsum(known).reshape(known.shape) - 1
     corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
     a, b, c, d = (corner[cells] for corner in corners)
-    vertices = np.stack([column * size, -row * size, heights[known]], axis=1)
+    places = [column * size, -row * size, heights[known]]
+    vertices = np.stack(places, axis=1).astype(np.float32)
     return known, vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
