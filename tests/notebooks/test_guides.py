@@ -42,7 +42,7 @@ LEAVES = {
     "embryo": {"modulus.csv", "outline.csv", "look.png"},
     "focus_stack": {
         *(f"{name}.ome.tif" for name in ("height", "uncertainty", "frame", "all_in_focus")),
-        *("surface.ply", "regions.csv", "look.png"),
+        *("surface.ply", "surface.stl", "regions.csv", "look.png"),
     },
     "modulus": {"modulus.csv", "models.csv", "inputs.csv", "dimple.png"},
     "tracking": {"track.csv", "look.png"},
