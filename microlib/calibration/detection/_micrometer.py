@@ -148,7 +148,7 @@ def _profile(upright: NDArray[np.float32]) -> tuple[NDArray[np.bool_], Array, tu
         raise _no_scale("no row of pixels that crosses the lines and lies mostly in the image")
     first, last = int(columns[0]), int(columns[-1])
     known = np.interp(np.arange(first, last + 1), columns, profile[columns])
-    size = len(known) // 4
+    size = max(len(known) // 4, 1)
     # A closing removes dark lines and an opening bright ones. Lines cover less than half. The
     # profile goes on beyond its ends as the light does there.
     longer = np.pad(known, size, mode="reflect", reflect_type="odd")
