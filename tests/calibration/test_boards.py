@@ -251,20 +251,26 @@ def test_points_do_not_depend_on_the_size_at_which_marks_are_searched(shown, fac
     np.testing.assert_allclose(other.points, found.points, atol=0.02)
 
 
-@pytest.mark.parametrize("polarity", ["dark", "bright"])
-def test_dense_turned_circles_of_large_image_are_all_found(polarity):
-    """At half size, many of the circles of 10 px are lost; the image is searched at full size."""
-    turn = np.array([[0.866, 0.5], [-0.5, 0.866]])
-    places = np.stack(np.meshgrid(*2 * [np.arange(-15, 16)]), axis=-1).reshape(-1, 2)
-    centers = 40 * places @ turn + (400, 300)
+@pytest.mark.parametrize(
+    ("polarity", "pitch", "radius", "reduction"),
+    [("dark", 40, 10, 2), ("bright", 40, 10, 2), ("dark", 12, 4, 3)],
+)
+def test_dense_turned_circles_of_large_image_are_all_found(polarity, pitch, radius, reduction):
+    """At half size, many circles of 20 px are lost, and at a third, all circles of 8 px; the image
+    is searched at full size."""
+    turn, count = np.array([[0.866, 0.5], [-0.5, 0.866]]), 600 // pitch
+    places = np.stack(np.meshgrid(*2 * [np.arange(-count, count + 1)]), axis=-1).reshape(-1, 2)
+    centers = pitch * places @ turn + (400, 300)
     centers = centers[((centers > 25) & (centers < (775, 575))).all(axis=1)]
     grey = np.zeros((600, 800), np.uint8)
     for x, y in np.round(16 * centers).astype(int).tolist():  # 1/16 px
-        cv2.circle(grey, (x, y), 160, 1, cv2.FILLED, cv2.LINE_8, shift=4)
+        cv2.circle(grey, (x, y), 16 * radius, 1, cv2.FILLED, cv2.LINE_8, shift=4)
     levels = (200, -160) if polarity == "dark" else (40, 160)
-    image = levels[0] + levels[1] * cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.5)
+    blurred = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), radius / 7)
+    image = levels[0] + levels[1] * blurred
     image += np.random.default_rng(0).normal(0, 2, image.shape)
-    settings = replace(DetectionSettings(), max_pixels=image.size / 2.25)
+    many = {"max_pixels": image.size / (reduction - 0.5) ** 2, "many_marks": 16}
+    settings = replace(DetectionSettings(), **many)
     shown = GreyImage.from_levels(image.astype(np.float32))
     _, found = patterns.find_pattern(shown, [Circles(settings)])
     assert len(found.points) == len(centers)

@@ -47,6 +47,13 @@ class GreyImage:
             np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
         )
 
+    def middle(self, factor: int) -> GreyImage:
+        """Middle of the image, of which it has 1/`factor` along each side."""
+        rows, columns = (
+            slice((n - n // factor) // 2, (n + n // factor) // 2) for n in self.grey.shape
+        )
+        return GreyImage(self.grey[rows, columns], self.smooth[rows, columns])
+
     @property
     def last_pixel(self) -> NDArray[np.intp]:
         """Coordinates (x, y) of the last pixel."""

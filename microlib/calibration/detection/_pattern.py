@@ -173,8 +173,8 @@ def find_pattern(image: GreyImage, patterns: Sequence[Pattern]) -> tuple[str, De
 def _search(image: GreyImage, pattern: Pattern) -> Iterator[MarkLattice]:
     """Lattices that may be the pattern; those of a large image are searched at reduced size.
 
-    If there are many small marks at that size, some may be lost, and the image is searched at full
-    size.
+    If there are many small marks at that size, or in the middle of the image at full size, some may
+    be lost, and the image is searched at full size.
     """
     settings = pattern.settings
     factor = int(np.ceil(np.sqrt(image.grey.size / settings.max_pixels)))
@@ -189,7 +189,8 @@ def _search(image: GreyImage, pattern: Pattern) -> Iterator[MarkLattice]:
         else:
             polarity = image if lattice.image is reduced else image.negative()
             yield lattice.enlarged(polarity, factor)
-    if dense:
+    middle = image.middle(4 * factor)
+    if dense or any(len(each.grid) >= settings.many_marks for each in pattern.search(middle)):
         yield from pattern.search(image)
 
 
