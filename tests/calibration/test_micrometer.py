@@ -130,6 +130,19 @@ def test_interval_contains_errors_of_the_ruling(adding_up):
     assert inside >= (14 if adding_up else 16)
 
 
+def test_interval_contains_parts_of_a_scale_with_periodic_errors():
+    """The lines of a photographed micrometer drift for ten divisions and jump back by 0.04."""
+    number = np.arange(60)
+    drift = 0.04 * (number % 10 / 10 - 0.45)
+    image = ruled(7 * (number - 29.5 + drift), 60.0, 2.0, angle=0.0, shape=(160, 460))
+    whole = detect_micrometer(image).spacing
+    assert whole.low < 7 < whole.high
+    for first in (0, 115, 230):
+        part = detect_micrometer(image[:, first : first + 230]).spacing
+        assert part.low < 7 < part.high
+        assert whole.low < part.value < whole.high
+
+
 def test_counting_chamber_is_refused_and_line_grid_is_read():
     """The triple lines of Neubauer's chamber are no division of its squares."""
     across = ruled(np.arange(-168, 169, 12), 500.0, 3.0, angle=0.03)
