@@ -25,7 +25,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     from microlib.calibration import detect_micrometer
     from microlib.io import image_files, read_grey
 
-    for name in ("pitch", "pixel_pitch", "focal_length"):
+    for name in ("pitch", "pitch_y", "pixel_pitch", "focal_length"):
         if getattr(a, name) is not None:
             raise ValueError(f"a micrometer needs --division, not --{name.replace('_', '-')}")
     resolve_scales(a, session, "division")

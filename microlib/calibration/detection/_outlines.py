@@ -138,7 +138,11 @@ def _parts(
 
 
 def _neighbor_light(outline: Outline, fit: OutlineFit, patches: Patches) -> Array:
-    """Light that the neighbors of each mark take from its pixels, grey levels."""
+    """Light that the neighbors of each mark take from its pixels, grey levels.
+
+    Without it, corners of drawn squares with gaps of 3 px err by 0.061 instead of 0.010 px, which
+    is 2.5 of their stated standard deviations. No point of 48 photographs changes.
+    """
     centers = patches.centers
     distance, index = cKDTree(centers).query(centers, k=9)  # eight on a square lattice
     # Diagonal neighbors are √2 steps away, and the next ones 2.
