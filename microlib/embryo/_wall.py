@@ -96,8 +96,8 @@ def locate_wall(
     ) -> tuple[WallPosition, float]:
         some = profiles[::every], offsets, used[::every]
         wall = _fit_walls(*some, pixel, ratio, fit_ratio, blur)
-        # Without NaN, which is the uncertainty of a wall that was not found.
-        return wall, float(np.nanmedian(np.append(wall.uncertainty, np.inf)))
+        found = wall.uncertainty[~np.isnan(wall.uncertainty)]
+        return wall, float(np.median(found)) if found.size else np.inf
 
     free, of_free = fit(None)
     # Some profiles show whether there is a dark wall, for which a step alone is a bad fit.
