@@ -119,9 +119,11 @@ def depth_from_focus(
     to `correct_spikes` and `smooth_depth`.
 
     The uncertainty accounts for the random error, and for the bias that arises where the shape of a
-    peak deviates from a Gaussian. At a step, the uncertainty also accounts for the possibility that
-    the pixel lies on the other side. If a peak may be noise but the pixel keeps its depth, the
-    stated uncertainty is that of a uniform distribution over the scan.
+    peak deviates from a Gaussian. If a focus ring moves the lens instead of the object, this bias
+    is up to 0.6 frame spacings, nearly the same for all pixels. At a step, the uncertainty also
+    accounts for the possibility that the pixel lies on the other side. If a peak may be noise but
+    the pixel keeps its depth, the stated uncertainty is that of a uniform distribution over the
+    scan.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 
