@@ -25,9 +25,10 @@ class Track(FlatResult):
         Whether the template was not found.
     reason : str
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"``, ``"low
-        correlation"``, ``"no agreement"`` of the template's parts, or ``"ambiguous"``: something
-        looks alike. In a periodic texture that surrounds the template on all sides, these are
-        motions by more than 0.38 of the period.
+        correlation"``, ``"no agreement"`` of the template's parts, ``"two motions"``: the frame
+        may show only the ground around an object that moved (then pass a `mask`), or
+        ``"ambiguous"``: something looks alike. In a periodic texture that surrounds the template on
+        all sides, these are motions by more than 0.38 of the period.
     correlation : float
         Normalized correlation of the template and the frame under the warp, −1 to 1; where only
         parts of the template agree or the light changes, of these parts in that light.

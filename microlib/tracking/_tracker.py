@@ -49,9 +49,10 @@ class ESMTracker:
 
     An object that resembles the template lowers the probability. So does a part of the template
     that moves differently from the rest, such as an object in front of a static background. A
-    visible template may therefore be reported as lost. If most of the texture in the box is
-    background, the background may be tracked instead of the object: the box should show little of
-    it, or a `mask` should exclude it. If the texture is periodic in the box and about it, motion by
+    visible template may therefore be reported as lost. If the box shows much background, a template
+    whose object moves is reported as lost by ``"two motions"``; a `mask` that excludes the
+    background avoids this. A template that has not moved since the first frame is lost, too, while
+    only its outer part is visible. If the texture is periodic in the box and about it, motion by
     a whole period cannot be distinguished from rest. Motion by nearly a whole period then looks
     like a small motion in the opposite direction.
 
@@ -208,6 +209,7 @@ class ESMTracker:
             frame=SearchFrame(image, self._least_noise),
             pose=translate(self._pose, -origin),
             seen=self._seen,
+            first_pose=translate(self._start, -origin),
             last=Sighting(last_region, translate(self._last.pose, -origin)),
         )
         best = find_template(search, self._attempts)

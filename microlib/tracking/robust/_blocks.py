@@ -23,9 +23,10 @@ class Blocks:
     `count` is the sum of the weights of the pixels, `visible` is `count` divided by the largest
     `count`, `square` the squared correlation, `unexplained` the variance of the image that is not
     linear in the template, and `noise_variance` the variance of the difference of two images of the
-    same.
+    same. The template has `shape` pixels.
     """
 
+    shape: tuple[int, int]
     count: Array
     visible: Array
     t: Array
@@ -65,6 +66,33 @@ class Blocks:
         score = np.maximum(information - unrelated - off**2, 0)
         expected = self.noise_variance + self.settings.interpolation_error * self.gg
         return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
+
+    @property
+    def possible(self) -> Array:
+        """Scores of blocks that differ from the template by noise only."""
+        information = 0.5 * np.log1p(self.tt / self.noise_variance)
+        return np.maximum(information - self.settings.unrelated_information, 0) * self.visible
+
+    def eccentricity(self) -> float:
+        """Return how far from the middle the agreeing blocks lie, over all blocks with texture."""
+        rows, columns = (np.linspace(-1, 1, len(_cells(side)) - 1) for side in self.shape)
+        radius = np.hypot(rows[:, None], columns).ravel()
+        agreeing, all_blocks = (
+            float(weights @ radius / max(weights.sum(), TINY))
+            for weights in (self.scores(), self.possible)
+        )
+        return agreeing / max(all_blocks, TINY)
+
+    def disagreeing(self) -> NDArray[np.bool_]:
+        """Return the pixels of the blocks that could agree but do not, H×W."""
+        possible = self.possible
+        wrong = (possible > 0.5) & (self.scores() < 0.3 * np.minimum(possible, 2))
+        rows, columns = (_cells(side) for side in self.shape)
+        padded = np.pad(wrong.reshape(len(rows) - 1, len(columns) - 1), 1)
+        cells = padded[1:, 1:] | padded[1:, :-1] | padded[:-1, 1:] | padded[:-1, :-1]
+        for axis, (side, starts) in enumerate(zip(self.shape, (rows, columns), strict=True)):
+            cells = np.repeat(cells, np.diff(starts, append=side), axis=axis)
+        return cells
 
     @cached_property
     def texture(self) -> Array:
@@ -110,6 +138,7 @@ def compare(
     t, g, tt, gg, tg = others / np.maximum(count, TINY)
     tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
     return Blocks(
+        shape=grey.shape,
         count=count,
         visible=count / max(count.max(), TINY),
         t=t,
