@@ -191,7 +191,7 @@ def place_of_failure(notebook: NotebookNode) -> str:
 
 
 def clean(notebook: NotebookNode) -> None:
-    """Remove what papermill adds, and hide the parameters that it injected."""
+    """Remove what papermill adds, hide the parameters that it injected, and fold the checks."""
     notebook.metadata.pop("papermill", None)
     marked = "papermill-error-cell-tag"
     notebook.cells = [c for c in notebook.cells if marked not in c.metadata.get("tags", [])]
@@ -201,3 +201,15 @@ def clean(notebook: NotebookNode) -> None:
         if "injected-parameters" in cell.metadata.get("tags", []):
             cell.id = "injected-parameters"
             cell.metadata.tags.append("remove-cell")
+        if "check" in cell.metadata.get("tags", []):
+            cell.metadata.tags.append("hide-cell")
+            prompts = {"code_prompt_show": f"Check: {state_of(cell)}", "code_prompt_hide": "Check"}
+            cell.metadata.setdefault("mystnb", {}).update(prompts)
+
+
+def state_of(cell: NotebookNode) -> str:
+    """Return whether a cell passed, failed or was not run."""
+    if cell.execution_count is None:
+        return "not run"
+    failed = any(output.output_type == "error" for output in cell.outputs)
+    return "failed" if failed else "passed"

@@ -5,6 +5,8 @@
   it, a verdict to its row in the list of claims.
 - ``{number}`follows` ``, or another verdict, ``claims``, ``settings``, ``errata``, ``causes``,
   ``chosen`` or a class of errata: how many there are.
+- ``{ledger-table} section-3.1.2/ table-3.1/labels``: what the thesis reports of a section, as a
+  table of the claims whose ids begin with one of the words.
 - ``{counts}``: a table of how many claims have which verdict, and for which reason.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
 - ``{claims}``: the list of all claims and settings, which ``_static/filter.js`` narrows;
@@ -204,6 +206,46 @@ class Claims(SphinxDirective):
         return nodes.paragraph("", "", link(self.env, nodes.Text(text), page, anchor))
 
 
+class LedgerTable(SphinxDirective):
+    """What the thesis reports of a section: printed, recomputed, verdict, and what it rests on."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        rows = []
+        for prefix in self.arguments[0].split():
+            found = [claim for name, claim in ledger.claims().items() if name.startswith(prefix)]
+            if not found:
+                raise self.error(f"no claim has an id that begins with {prefix}")
+            rows += [self.row(claim) for claim in found]
+        head = ["The thesis reports", "Printed", "Recomputed", "Verdict", "It rests on"]
+        result = table(head, rows)
+        result["classes"].append("ledger")
+        return [result]
+
+    def row(self, claim: ledger.Claim) -> list[nodes.Node | list[nodes.Node]]:
+        told = [line(f"{claim.what}.")]
+        if claim.condition and claim.says:  # a sentence, and the number that we compute for it
+            told = [line(_sentence(claim.says)), line(f"Recomputed: {claim.what}.")]
+        number = span(printed(claim) if claim.printed else "–", "printed")
+        found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
+        return [told, number, found, claim_link(self.env, claim), grounds(claim)]
+
+
+def grounds(claim: ledger.Claim) -> list[nodes.Node]:
+    """Return what a verdict rests on, as one paragraph for each kind of evidence."""
+    if isinstance(claim, ledger.Follows):
+        return [line("The printed formulas and numbers alone.")]
+    told = {name: text for name, text in claim.explanations().items() if text}
+    kept = {name: text for name, text in told.items() if name not in ("Right", "Rule")}
+    return [line(_sentence(f"{name}: {text}")) for name, text in kept.items()]
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:].rstrip('.')}."
+
+
 def place_of(claim: ledger.Entry) -> tuple[str, str]:
     """Return page and anchor of the table or section that a claim's id begins with."""
     places = find_items()
@@ -283,6 +325,7 @@ def setup(app: Sphinx) -> None:
     for name in Role.functions:
         app.add_role(name, Role())
     app.add_directive("counts", Counts)
+    app.add_directive("ledger-table", LedgerTable)
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
     app.add_directive("differences", Differences)

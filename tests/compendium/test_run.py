@@ -11,9 +11,9 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from nbformat.v4 import new_code_cell, new_notebook
+from nbformat.v4 import new_code_cell, new_notebook, new_output
 
-from compendium import run
+from compendium import execution, run
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -87,6 +87,16 @@ def injected(path: Path) -> nbformat.NotebookNode:
     cells = nbformat.read(path, as_version=4).cells
     (found,) = (c for c in cells if "injected-parameters" in c.metadata.get("tags", []))
     return found
+
+
+def test_checks_are_folded_and_say_whether_they_passed() -> None:
+    cells = [new_code_cell("assert True", metadata={"tags": ["check"]}) for _ in range(3)]
+    cells[0].execution_count = cells[1].execution_count = 1
+    cells[1].outputs = [new_output("error", ename="ClaimError", evalue="", traceback=[])]
+    execution.clean(new_notebook(cells=cells))
+    shown = [cell.metadata["mystnb"]["code_prompt_show"] for cell in cells]
+    assert shown == ["Check: passed", "Check: failed", "Check: not run"]
+    assert all("hide-cell" in cell.metadata.tags for cell in cells)
 
 
 def test_only_changed_or_missing_notebooks_run_again(project, start, capsys):
