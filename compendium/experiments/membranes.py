@@ -50,7 +50,7 @@ BLADE = (thesis.PROBE_WIDTH, 2.0)
 EGG = 600.0
 LAWS = ("neo-hooke", "hooke", "mooney-rivlin")
 #: Priors of the quantities that the thesis does not print. Each is uniform between two limits:
-#: lengths in µm, stretches as in `microlib.membrane`, pressure below a disc in F/(π a²).
+#: lengths in µm, the stretch as in `microlib.membrane`.
 #: The laws have equal probabilities, ln E is uniform, and the place of the crest is uniform over
 #: `crest_reach`.
 PRIORS: dict[str, tuple[float, float]] = {
@@ -58,19 +58,15 @@ PRIORS: dict[str, tuple[float, float]] = {
     "probe_half_width": (0.85 * INPUTS["probe_half_width"], 1.15 * INPUTS["probe_half_width"]),
     "capsule_radius": (500.0, 700.0),
     "inflation": (1.0, 1.1),
-    "pressure": (0.0, 1.0),
-    "pretension": (0.0, 0.05),
 }
 #: Height in px within which a crest is level, the resolution of the image.
 _LEVEL = 1.0
 #: Number of solved states of each law. With 36 and 48 states the printed quantiles are the same.
-_STATES = {"capsule": 24, "disc": 30}
+_STATES = 24
 #: Force in modulus × thickness × capsule radius that makes a dimple of about a fifth of the radius:
 #: 0.05 + 1.1 (λ − 1) for the inflation λ, determined by trial. The logarithm of the force is drawn
-#: within the reach on either side. For a disc, the limits of the force in modulus × thickness × rim
-#: radius.
+#: within the reach on either side.
 _USUAL_LOAD, _LOAD_REACH = (0.05, 1.1), 0.7
-_DISC_LOADS = (0.06, 0.9)
 
 
 def modulus_ratios(disc: str) -> pd.Series:
@@ -197,16 +193,14 @@ def crest_reach(curve: GaussianSum) -> tuple[float, float]:
 
 
 def modulus_posterior(
-    rng: np.random.Generator, membrane: str, crest: tuple[float, float], draws: int = 20_000
+    rng: np.random.Generator, crest: tuple[float, float], draws: int = 20_000
 ) -> pd.DataFrame:
-    """Draw moduli of membranes with the printed radius and depth, over the priors.
+    """Draw moduli of closed capsules on a plate with the printed radius and depth, over the priors.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Source of the draws.
-    membrane : {"capsule", "disc"}
-        A closed capsule of constant volume on a plate, or a disc with a clamped rim.
     crest : tuple of float
         Least and largest radius of the crest, from `crest_reach`, µm.
     draws : int
@@ -215,92 +209,80 @@ def modulus_posterior(
     Returns
     -------
     pandas.DataFrame
-        A row each draw: modulus E (MPa), law, thickness and probe_half_width (µm), rim_radius (µm),
-        and capsule_radius (µm) and inflation of a capsule, or pressure and pretension of a disc.
+        A row each draw: modulus E (MPa), law, inflation, and thickness, probe_half_width,
+        rim_radius and capsule_radius (µm).
 
     Notes
     -----
-    The ratios w_d/L and a/L, where L is the size of the membrane (R or a), depend on F/(E h L), c/L
-    and the stretches alone. States are solved for a quasi-random set of these arguments, and the
-    logarithms of w_d/L and a/L are interpolated between the states. A draw of the arguments has the
-    printed depth at a single size L. Its weight is the prior of L, of c and of a, times L² from the
-    change of variables from (L, c) to (w_d, c/L). A uniform prior of ln E is a uniform prior of
-    F/(E h L) in its logarithm.
+    The ratios w_d/R and a/R to the radius R of the capsule depend on F/(E h R), c/R and the
+    inflation alone. States are solved for a quasi-random set of these arguments, and the logarithms
+    of w_d/R and a/R are interpolated between the states. A draw of the arguments has the printed
+    depth at a single radius R. Its weight is the prior of R, of c and of a, times R² from the
+    change of variables from (R, c) to (w_d, c/R). A uniform prior of ln E is a uniform prior of
+    F/(E h R) in its logarithm.
     """
     _, depth = printed_dimple()
-    kinds = ["rim_radius", "probe_half_width"]
-    kinds += ["capsule_radius"] if membrane == "capsule" else []
-    limits = {name: crest if name == "rim_radius" else PRIORS[name] for name in kinds}
+    limits = PRIORS | {"rim_radius": crest}
     parts = []
     for law in LAWS:
-        places, logs = _solved_states(membrane, law, crest)
+        places, logs = _solved_states(law)
         unit = rng.random((draws, places.shape[1]))
-        if membrane == "capsule":
-            unit[:, 0] = np.sqrt(unit[:, 0])  # the inflation is uniform, see _inputs
+        unit[:, 0] = np.sqrt(unit[:, 0])  # the inflation is uniform, see _inputs
         shape = np.exp(RBFInterpolator(places, logs, kernel="quintic", degree=2)(unit))
         size = depth / shape[:, 0]
-        candidates = pd.DataFrame(_inputs(membrane, unit, crest)).assign(law=law, size=size)
+        candidates = pd.DataFrame(_inputs(unit)).assign(law=law, capsule_radius=size)
         candidates["probe_half_width"] = candidates.pop("slenderness") * size
-        candidates["rim_radius"] = shape[:, -1] * size if membrane == "capsule" else size
-        if membrane == "capsule":
-            candidates["capsule_radius"] = size
-        inside = [candidates[name].between(*ends) for name, ends in limits.items()]
+        candidates["rim_radius"] = shape[:, 1] * size
+        drawn = ["rim_radius", "probe_half_width", "capsule_radius"]
+        inside = [candidates[name].between(*limits[name]) for name in drawn]
         parts.append(candidates.assign(weight=np.all(inside, axis=0) * size**2))
     every = pd.concat(parts, ignore_index=True)
     picked = rng.choice(len(every), draws, p=every["weight"] / every["weight"].sum())
     chosen = every.drop(columns="weight").iloc[picked].reset_index(drop=True)
     chosen["thickness"] = rng.uniform(*PRIORS["thickness"], draws)
-    scale = chosen.pop("load") * chosen["thickness"] * chosen.pop("size")
+    scale = chosen.pop("load") * chosen["thickness"] * chosen["capsule_radius"]
     return chosen.assign(E=thesis.FORCE / scale)
 
 
-def _solved_states(membrane: str, law: str, crest: tuple[float, float]) -> tuple[NDArray, NDArray]:
-    """Return points of the unit cube with a solved state, and ln w_d/L and ln a/L of the states."""
-    unit = qmc.Halton(3 if membrane == "capsule" else 4, seed=0).random(_STATES[membrane])
-    rows = pd.DataFrame(_inputs(membrane, unit, crest)).to_dict("records")
-    lengths = np.array([_lengths(membrane, law, row) for row in rows])
+def _solved_states(law: str) -> tuple[NDArray, NDArray]:
+    """Return points of the unit cube with a solved state, and ln w_d/R and ln a/R of the states."""
+    unit = qmc.Halton(3, seed=0).random(_STATES)
+    lengths = np.array(
+        [_lengths(law, row) for row in pd.DataFrame(_inputs(unit)).to_dict("records")]
+    )
     solved = np.isfinite(lengths[:, 0])
     return unit[solved], np.log(lengths[solved])
 
 
-def _inputs(membrane: str, unit: NDArray, crest: tuple[float, float]) -> dict[str, NDArray]:
-    """Return the arguments of states at points of the unit cube, with lengths in units of L."""
-    low, high = PRIORS["probe_half_width"]
-    if membrane == "capsule":
-        stretch, swing, width = unit.T
-        # States change fastest where a capsule is nearly slack, so there are more of them there.
-        inflation = _between(PRIORS["inflation"], stretch**2)
-        base, rise = _USUAL_LOAD
-        load = (base + rise * (inflation - 1)) * np.exp(_LOAD_REACH * (2 * swing - 1))
-        least, most = PRIORS["capsule_radius"]
-        names = {"inflation": inflation, "load": load}
-    else:
-        swing, below, stretch, width = unit.T
-        least, most = crest
-        names = {
-            "load": np.exp(_between(tuple(np.log(_DISC_LOADS)), swing)),
-            "pressure": _between(PRIORS["pressure"], below),
-            "pretension": _between(PRIORS["pretension"], stretch),
-        }
-    return names | {"slenderness": _between((low / most, high / least), width)}
+def _inputs(unit: NDArray) -> dict[str, NDArray]:
+    """Return the arguments of states at points of the unit cube, with lengths in units of R."""
+    stretch, swing, width = unit.T
+    # States change fastest where a capsule is nearly slack, so there are more of them there.
+    inflation = _between(PRIORS["inflation"], stretch**2)
+    base, rise = _USUAL_LOAD
+    load = (base + rise * (inflation - 1)) * np.exp(_LOAD_REACH * (2 * swing - 1))
+    (low, high), (least, most) = PRIORS["probe_half_width"], PRIORS["capsule_radius"]
+    slenderness = _between((low / most, high / least), width)
+    return {"inflation": inflation, "load": load, "slenderness": slenderness}
 
 
 def _between(ends: tuple[float, ...], share: NDArray) -> NDArray:
     return ends[0] + (ends[1] - ends[0]) * share
 
 
-def _lengths(membrane: str, law: str, inputs: dict[Any, Any]) -> tuple[float, float]:
-    """Return depth and radius of the rim of a membrane of size, thickness and modulus 1, or NaN."""
-    settings: dict[str, Any] = {"modulus": 1.0, "thickness": 1.0, "poisson_ratio": 0.5, "law": law}
-    settings |= inputs
-    load, settings["probe_half_width"] = settings.pop("load"), settings.pop("slenderness")
-    if membrane == "disc":
-        settings["pressure"] *= load / np.pi
+def _lengths(law: str, inputs: dict[Any, Any]) -> tuple[float, float]:
+    """Return depth and rim radius of a capsule of radius, thickness and modulus 1, or NaN."""
     try:
-        if membrane == "capsule":
-            state = indent_capsule(load, capsule_radius=1.0, **settings)
-        else:
-            state = indent_disc(load, 1.0, **settings)
+        state = indent_capsule(
+            inputs["load"],
+            capsule_radius=1.0,
+            modulus=1.0,
+            thickness=1.0,
+            probe_half_width=inputs["slenderness"],
+            poisson_ratio=0.5,
+            inflation=inputs["inflation"],
+            law=law,
+        )
     except ValueError:
         return np.nan, np.nan  # draws near a load without a state have no state either
     return state.depth, state.rim_radius
