@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from compendium.experiments.section_5_3 import texture_sequence
 from microlib.synthetic import mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter
+from microlib.tracking import ESMTracker, KalmanFilter, Track
+from microlib.tracking.robust import ATTEMPTS
 
 #: Half the side of the template, px, and the middle of the image, (x, y) in px.
 HALF, MIDDLE = 32, np.array([80.0, 80.0])
@@ -196,3 +198,33 @@ def kalman_track(
     parts = ["x", "v", "P11", "P12", "P21", "P22"]
     columns = parts + [f"{part}, library − formula" for part in parts]
     return pd.DataFrame(rows, columns=names), pd.DataFrame(states, columns=columns)
+
+
+def attempts_needed(seed: int) -> list[tuple[str, NDArray, Track, float, int]]:
+    """Track a textured square in three frames, each with as few attempts as find it.
+
+    Returns
+    -------
+    list of tuple
+        What happened since the first frame, the frame, the track, its error (px), and the number
+        of attempts.
+    """
+    rng = np.random.default_rng(seed)
+    places = np.array([[60.0, 40.0], [64.3, 37.6], [65.2, 45.1], [114.6, 58.3]])
+    first, *frames = (frame * 0.8 for frame in texture_sequence(places, rng, size=60, grain=1.5))
+    columns = np.arange(first.shape[1])
+    changes = {
+        "brighter at one side": np.linspace(0.7, 1.2, len(columns)),
+        "a third hidden": np.where(abs(columns - 70) < 14, 0.1, 1.0),
+        "far away": 1.0,
+    }
+    found = []
+    for (title, light), frame, place in zip(changes.items(), frames, places[1:], strict=True):
+        for count in range(1, len(ATTEMPTS) + 1):
+            tracker = type("Variant", (ESMTracker,), {"_attempts": ATTEMPTS[:count]})
+            track = tracker(first, (60, 40, 60, 60), "translation").track(frame * light)
+            if not track.lost:
+                break
+        error = float(np.linalg.norm(track.center - place - 29.5))
+        found.append((title, frame * light, track, error, count))
+    return found
