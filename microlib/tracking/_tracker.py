@@ -40,7 +40,7 @@ class ESMTracker:
     from the frame by more than the noise, a photometric model continues the alignment. The model
     accounts for smoothly varying light, for blur and for a tone curve. Its fit reduces the
     influence of outliers by Tukey's weights [3]_. If this fit is not accepted, further attempts
-    start from other poses. The page *How the library is built* lists the attempts.
+    start from other poses. Chapter 2 of the book explains the attempts.
 
     The first result whose estimated probability of being right is at least 0.7 is accepted. If
     there is no such result, the template is lost. In the following frames, a lost template is
