@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from compendium.experiments.section_5_3 import texture_sequence
-from microlib.synthetic import mixed_texture
+from compendium import thesis
+from microlib.synthetic import gripper_scene, mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter, Track
 from microlib.tracking.robust import ATTEMPTS
 
@@ -201,30 +201,34 @@ def kalman_track(
 
 
 def attempts_needed(seed: int) -> list[tuple[str, NDArray, Track, float, int]]:
-    """Track a textured square in three frames, each with as few attempts as find it.
+    """Track a gripper in three frames, each with as few attempts as find it.
 
     Returns
     -------
     list of tuple
-        What happened since the first frame, the frame, the track, its error (px), and the number
-        of attempts.
+        What changed since the first frame, the frame, the track, its error (px), and the number of
+        attempts.
     """
     rng = np.random.default_rng(seed)
-    places = np.array([[60.0, 40.0], [64.3, 37.6], [65.2, 45.1], [114.6, 58.3]])
-    first, *frames = (frame * 0.8 for frame in texture_sequence(places, rng, size=60, grain=1.5))
+    scene = gripper_scene(
+        rng, pixel_size=thesis.effective_pixel("1X"), gap=thesis.GRIPPER_GAP, reach=110
+    )
+    box, first = scene.box(thesis.WINDOW, (0.0, 0.0)), scene.frame((0.0, 0.0), rng)
     columns = np.arange(first.shape[1])
-    changes = {
-        "brighter at one side": np.linspace(0.7, 1.2, len(columns)),
-        "a third hidden": np.where(abs(columns - 70) < 14, 0.1, 1.0),
-        "far away": 1.0,
-    }
+    bar = np.where(abs(columns - box[0] - 12) < 9, 0.1, 1.0)
+    changes: list[tuple[str, tuple[float, float], NDArray | float]] = [
+        ("another light", (4.3, -2.4), np.linspace(0.6, 1.1, len(columns))),
+        ("partly hidden", (5.2, 5.1), bar),
+        ("far away", (38.6, 18.3), 1.0),
+    ]
     found = []
-    for (title, light), frame, place in zip(changes.items(), frames, places[1:], strict=True):
+    for title, place, light in changes:
+        frame = scene.frame(place, rng) * light
         for count in range(1, len(ATTEMPTS) + 1):
-            tracker = type("Variant", (ESMTracker,), {"_attempts": ATTEMPTS[:count]})
-            track = tracker(first, (60, 40, 60, 60), "translation").track(frame * light)
+            variant = type("Variant", (ESMTracker,), {"_attempts": ATTEMPTS[:count]})
+            track = variant(first, box, "translation").track(frame)
             if not track.lost:
                 break
-        error = float(np.linalg.norm(track.center - place - 29.5))
-        found.append((title, frame * light, track, error, count))
+        error = float(np.linalg.norm(track.corners[0] - box[:2] - place))
+        found.append((title, frame, track, error, count))
     return found
