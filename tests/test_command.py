@@ -242,18 +242,18 @@ def test_camera_matrix_and_scale_need_no_pixel_pitch(tmp_path, capsys):
 
 
 def test_difference_of_opencv_camera_above_the_noise_is_printed(tmp_path, capsys, monkeypatch):
-    """A matrix whose principal point is 3 px aside, and the right one."""
+    """A distortion that is wrong by 3 px, and the right one."""
     exported = calibration.Calibration.to_json
 
-    def aside(result):
+    def wrong(result):
         content = json.loads(exported(result))
-        content["opencv"]["camera_matrix"][0][2] += 3
+        content["opencv"]["distortion_model_error_px"] += 3
         return json.dumps(content)
 
-    for name, written, noted in (("right", exported, False), ("aside", aside, True)):
+    for name, written, noted in (("right", exported, False), ("wrong", wrong, True)):
         monkeypatch.setattr(calibration.Calibration, "to_json", written)
         assert status(GRID, tmp_path / name) == 0
-        assert ("projects the marks up to 3 px from the" in capsys.readouterr().err) == noted
+        assert ("deviates by up to 3 px from the" in capsys.readouterr().err) == noted
 
 
 def chessboards() -> list[np.ndarray]:
@@ -379,7 +379,7 @@ def test_advice_depends_on_the_calibration(
 ):
     """One of the grids has sides of so many px and twice as many, in 400×100 px."""
     shown = dict.fromkeys(("to_frame", "to_json", "plot"), POINTS.copy)
-    shown |= {"to_json": str}
+    shown |= {"to_json": '{"opencv": {"distortion_model_error_px": null}}'.strip}
     own = {
         "adequate": True,
         "lack_of_fit": 1.0,
@@ -402,9 +402,8 @@ def test_advice_depends_on_the_calibration(
     grids = [
         Namespace(points=each, positions=each, image_size=(400, 100), **shown) for each in ends
     ]
-    monkeypatch.setattr(calibration, "detect_pattern", lambda *_: ("grid", grids.pop()))
+    monkeypatch.setattr(calibration, "detect_pattern", lambda *_, **__: ("grid", grids.pop()))
     monkeypatch.setattr(calibration, "calibrate", lambda *_, **__: Namespace(**own))
-    monkeypatch.setattr("microlib._command._calibrate._opencv_difference", lambda *_: 0.0)
     photos = ["circles.png", f"{INPUTS}/embryo.png", f"{INPUTS}/height_um.tif"][:views]
     assert status(GRID.replace("circles.png", shlex.join(photos)), tmp_path) == 0
     printed = capsys.readouterr().err

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._command import _objectives
-from microlib._command._options import add_scales, resolve_scales
+from microlib._command._options import add_scales, detect_each, photographs, resolve_scales
 from microlib._command._session import End, Session, picture, text
-from microlib._common import home_path
 
 #: Names of the files that it writes.
 FILES = ("camera.csv", "camera.json", "points.csv", "look.png", *_objectives.FILES)
@@ -74,10 +73,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
     images = [image for image, _ in views.values()]
     _advise(session, result, views, a.focal_length is not None)
     camera = result.to_json()
-    difference = _opencv_difference(camera, result.views, [d.positions * pitch for d in detections])
-    if difference > result.reprojection.rms:
+    difference = json.loads(camera)["opencv"]["distortion_model_error_px"]
+    if difference is not None and difference > result.reprojection.rms:
         session.note(
-            f"OpenCV's camera in camera.json projects the marks up to {difference:.2g} px from the "
+            f"OpenCV's camera in camera.json deviates by up to {difference:.2g} px from the "
             f"calibrated model; residuals are {result.reprojection.rms:.2g} px rms"
         )
     tables = [found.to_frame().assign(photo=photo) for photo, (_, found) in views.items()]
@@ -94,24 +93,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
 def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
     """Return the photographs with a pattern, all of the usual size, and the patterns found."""
     from microlib.calibration import detect_pattern
-    from microlib.io import image_files, read_grey
 
-    photos = image_files(*map(home_path, source))
-    session.protect(photos)
-    views: Views = {}
-    fault = ""
-    for photo in session.bar(photos, unit=" photos"):
-        try:
-            image = read_grey(photo)
-            name, found = detect_pattern(image, pattern)
-            views[photo] = image, found
-            session.say(f"{photo}: {name}: {found}")
-        except ValueError as error:
-            reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
-            fault = f"{photo}: {reason}"
-            session.note(f"left out {fault}")
-    if not views:
-        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    found = detect_each(
+        photographs(source, session), partial(detect_pattern, pattern=pattern), session
+    )
+    views = {photo: (image, detection) for photo, (image, (_, detection)) in found.items()}
+    for photo, (_, (name, detection)) in found.items():
+        session.say(f"{photo}: {name}: {detection}")
     sizes = {photo: "×".join(map(str, found.image_size)) for photo, (_, found) in views.items()}
     usual_size = mode(sizes.values())
     for photo, size in sizes.items():
@@ -119,23 +107,6 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
             views.pop(photo)
             session.note(f"left out {photo}: its size is {size} px, of most {usual_size}")
     return views
-
-
-def _opencv_difference(text: str, scopes: Sequence[Any], worlds: Sequence[NDArray]) -> float:
-    """Largest difference, px, between marks as OpenCV's camera and the microscopes project them."""
-    import cv2
-
-    camera = json.loads(text)["opencv"]
-    poses = zip(camera["rotation_vectors"], camera["translation_vectors_um"], strict=True)
-    lens = [camera[name] for name in ("camera_matrix", "distortion_coefficients")]
-    largest = 0.0
-    for scope, world, (rotation, translation) in zip(scopes, worlds, poses, strict=True):
-        if None not in (rotation, translation, *lens):  # null is what the points do not determine
-            space = np.column_stack([world, 0 * world[:, 0]])
-            r, t, matrix, terms = map(np.array, (rotation, translation, *lens))
-            projected = cv2.projectPoints(space, r, t, matrix, terms)[0][:, 0]
-            largest = max(largest, np.abs(projected - scope.project(world)).max())
-    return largest
 
 
 def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> None:

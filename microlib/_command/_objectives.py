@@ -9,9 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from microlib._command._options import resolve_scales
+from microlib._command._options import detect_each, photographs, resolve_scales
 from microlib._command._session import End, Session, picture, text
-from microlib._common import home_path
 
 #: Names of the files that it writes, beside a picture.
 FILES = ("objectives.csv", "micromanager.txt", "imagej.ijm")
@@ -23,27 +22,19 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     from microlib._plots import micrometers
     from microlib.calibration import detect_micrometer
-    from microlib.io import image_files, read_grey
 
     for name in ("pitch", "pitch_y", "pixel_pitch", "focal_length"):
         if getattr(a, name) is not None:
             raise ValueError(f"a micrometer needs --division, not --{name.replace('_', '-')}")
     resolve_scales(a, session, "division")
-    photos = image_files(*map(home_path, a.source))
-    session.protect(photos)
-    names = [re.sub(r'[,"\\]', "_", photo.stem) for photo in photos]
-    if len(set(names)) < len(names):
-        raise ValueError(f"names of files must differ, as they name the objectives, got {names}")
-    images, scales, fault = {}, {}, ""
-    for name, photo in zip(names, session.bar(photos, unit=" photos"), strict=True):
-        try:
-            image = read_grey(photo)
-            scales[name], images[name] = detect_micrometer(image), image
-        except ValueError as error:
-            fault = f"{photo}: {str(error).removeprefix(f'path must name an image, got {photo}: ')}"
-            session.note(f"left out {fault}")
-    if not scales:
-        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    photos = photographs(a.source, session)
+    names = {photo: re.sub(r'[,"\\]', "_", photo.stem) for photo in photos}
+    if len(set(names.values())) < len(photos):
+        given = [*names.values()]
+        raise ValueError(f"names of files must differ, as they name the objectives, got {given}")
+    found = detect_each(photos, detect_micrometer, session)
+    images = {names[photo]: image for photo, (image, _) in found.items()}
+    scales = {names[photo]: scale for photo, (_, scale) in found.items()}
     sizes = {name: scale.um_per_pixel(a.division) for name, scale in scales.items()}
     _check_magnifications(session, {name: size.value for name, size in sizes.items()})
     columns = ("value", "uncertainty", "low", "high", "unit")

@@ -1,11 +1,14 @@
-"""Options of all commands: scales, which are numbers with units, and the choice of frames."""
+"""What commands share: scales, which are numbers with units, frames and photographs."""
 
 from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
 
 from microlib._command._session import Session, option
 from microlib._common import PHYSICAL_RANGES, as_scalar, home_path
@@ -108,3 +111,32 @@ def open_frames(a: argparse.Namespace, session: Session) -> Stack:
         first, *_, last = frames.files
         session.say(f"{len(frames.files)} files, from {first.name} to {last.name}")
     return frames
+
+
+def photographs(source: Iterable[str], session: Session) -> list[Path]:
+    """Return the photographs, which cannot be overwritten."""
+    from microlib.io import image_files
+
+    photos = image_files(*map(home_path, source))
+    session.protect(photos)
+    return photos
+
+
+def detect_each(
+    photos: Sequence[Path], detect: Callable[[NDArray], Any], session: Session
+) -> dict[Path, tuple[NDArray, Any]]:
+    """Return the grey levels of each photograph and what is detected; note those left out."""
+    from microlib.io import read_grey
+
+    found, fault = {}, ""
+    for photo in session.bar(photos, unit=" photos"):
+        try:
+            image = read_grey(photo)
+            found[photo] = image, detect(image)
+        except ValueError as error:
+            reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
+            fault = f"{photo}: {reason}"
+            session.note(f"left out {fault}")
+    if not found:
+        raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
+    return found
