@@ -220,14 +220,17 @@ class LedgerTable(SphinxDirective):
                 raise self.error(f"no claim has an id that begins with {prefix}")
             rows += [self.row(claim) for claim in found]
         head = ["The thesis reports", "Printed", "Recomputed", "Verdict", "It rests on"]
+        if all(row[1].astext() == "–" for row in rows):  # only sentences
+            head, *rows = ([first, *others] for first, _, *others in (head, *rows))
         result = table(head, rows)
         result["classes"].append("ledger")
         return [result]
 
     def row(self, claim: ledger.Claim) -> list[nodes.Node | list[nodes.Node]]:
         told = [line(f"{claim.what}.")]
-        if claim.condition and claim.says:  # a sentence, and the number that we compute for it
-            told = [line(_sentence(claim.says)), line(f"Recomputed: {claim.what}.")]
+        if claim.says and not claim.printed:  # a sentence, and the number that we compute for it
+            told = [line(_sentence(claim.says))]
+            told += [line(f"Recomputed: {claim.what}.")] if claim.compared else []
         number = span(printed(claim) if claim.printed else "–", "printed")
         found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
         return [told, number, found, claim_link(self.env, claim), grounds(claim)]
