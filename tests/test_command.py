@@ -140,7 +140,9 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
         given = f"--{name.replace('_', '-')}" in line
         assert f"{name} {scale} (the file)" in printed or given
         assert f"{name} {scale}" not in printed or not given
-    at_rest = "no change of light, position or scale is detected: not registered"
+    at_rest = (
+        "not registered; motion of less than 0.1 % of the shorter side per frame is not detected"
+    )
     assert (at_rest in printed) == ("auto" in line)
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}

@@ -99,7 +99,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(result.plot))
     session.say(result)
     if a.register == "auto" and result.warps is None:
-        session.say("no change of light, position or scale is detected: not registered")
+        session.say(
+            "no change of light, position or scale is detected: not registered; motion of less "
+            "than 0.1 % of the shorter side per frame is not detected, --register corrects it"
+        )
     return End()
 
 
