@@ -143,7 +143,7 @@ def test_plot_with_given_axes_or_one_image_shows_one_view(views):
     own, ax = pyplot.subplots()
     assert result.plot(ax, found=found) is own
     assert [len(line.get_xdata()) for line in ax.lines] == [12]
-    one = replace(result, residuals=result.residuals[:12])
+    one = replace(result, views=result.views[:1], residuals=result.residuals[:12])
     for figure in (one.plot(found=found[0], images=images[0]), found[0].plot(image=images[0])):
         hold_photograph(figure.axes[0], images[0])
 
