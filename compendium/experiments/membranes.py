@@ -8,6 +8,7 @@ not print are drawn from priors.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from microlib.membrane import (
     indent_capsule,
     indent_disc,
     indentation_force,
+    steepest_depth,
 )
 
 #: Flat discs with a clamped rim. Their pressure is F/(π a²), as in the thesis, unless it is given.
@@ -41,9 +43,6 @@ DISCS: dict[str, dict[str, Any]] = {
     "Hooke, no pressure": {"law": "hooke", "pressure": 0.0},
     "stretched by 2 % before": {"pretension": 0.02},
 }
-#: Forces on the discs, in modulus × thickness × radius. Dimples of most discs are a tenth to a half
-#: of the radius deep.
-_LOADS = np.geomspace(2e-3, 0.5, 12)
 #: Assumed width and thickness of the end of a cantilever, µm.
 BLADE = (thesis.PROBE_WIDTH, 2.0)
 #: Radius of the chorion where a single value is needed: the middle of the prior, µm.
@@ -69,27 +68,35 @@ _STATES = 24
 _USUAL_LOAD, _LOAD_REACH = (0.05, 1.1), 0.7
 
 
-def modulus_ratios(disc: str) -> pd.Series:
-    """Return a disc's modulus over that of (4.7), by the relative depth w_d/a that a load makes."""
+def modulus_ratios(disc: str, depths: Sequence[float] | NDArray) -> pd.Series:
+    """Return a disc's modulus over that of (4.7), by relative depth w_d/a."""
     a, ratios = INPUTS["rim_radius"], {}
-    for load in _LOADS * thesis.MEMBRANE["thickness"] * a:  # µN, for a modulus of 1 MPa
-        state = indent_disc(load, a, modulus=1.0, **thesis.MEMBRANE, **DISCS[disc])
+    for depth in depths:
+        settings = thesis.MEMBRANE | DISCS[disc]
+        modulus = disc_modulus(thesis.FORCE, a, depth * a, **settings)
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
-            by_formula = indentation_force(1.0, a, state.depth, **thesis.MEMBRANE)
-        ratios[state.depth / a] = float(by_formula / load)
+            ratios[depth] = modulus / thesis.modulus(a, depth * a)
     return pd.Series(ratios)
 
 
-def shallow_disc(pressure: float | str = "balance") -> tuple[float, float]:
+def deepest_uniform() -> float:
+    """Return the largest w_d/a of a uniform stress with exact slopes, over all widths c/a."""
+    ratios = np.linspace(0.01, 0.99, 197)
+    return max(steepest_depth(1.0, probe_half_width=ratio) for ratio in ratios)
+
+
+def shallow_disc(pressure: float | str = "balance", **other: float) -> tuple[float, float]:
     """Return the stress of the meridian at the probe over that at the rim, and E over (4.7).
 
     The disc obeys Hooke's law and is so stiff that its depth is 0.002 of its radius. In the limit
-    of small slopes both ratios are the same at any depth.
+    of small slopes both ratios are the same at any depth. Other values of the inputs of (4.7) may
+    be given, lengths in µm.
     """
-    a, settings = INPUTS["rim_radius"], thesis.MEMBRANE | {"law": "hooke", "pressure": pressure}
+    a, membrane = INPUTS["rim_radius"], thesis.MEMBRANE | other
+    settings: dict[str, Any] = membrane | {"law": "hooke", "pressure": pressure}
     state = indent_disc(thesis.FORCE, a, modulus=1e7, **settings)
     along = state.stresses[0]
-    by_formula = indentation_force(1e7, a, state.depth, **thesis.MEMBRANE)
+    by_formula = indentation_force(1e7, a, state.depth, **membrane)
     return float(along[0] / along[-1]), float(by_formula / thesis.FORCE)
 
 

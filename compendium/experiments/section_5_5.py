@@ -284,12 +284,17 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
     }
 
 
-def edge_without_ground() -> float:
-    """Return the share of `ridge_sentences` at the feet of a true ridge that goes on below 0."""
+def edge_by_ground() -> float:
+    """Return the share of `ridge_sentences` at the feet of a true ridge, less that of a parabola
+    that goes on below the ground, which has no concave point."""
     column = np.arange(RIDGE_SHAPE[1]) - (RIDGE_SHAPE[1] - 1) / 2
     profile = thesis.RIDGE_HEIGHT * (1 - (2 * column / LABELED_WIDTH) ** 2)
-    height = np.broadcast_to(profile, RIDGE_SHAPE)
-    return ridge_sentences(height, thesis_labels(height))["edge-concave-cylindric"]
+    parabola = np.broadcast_to(profile, RIDGE_SHAPE)
+    shares = [
+        ridge_sentences(height, thesis_labels(height))["edge-concave-cylindric"]
+        for height in (np.maximum(parabola, 0.0), parabola)
+    ]
+    return shares[0] - shares[1]
 
 
 def ridge_map(

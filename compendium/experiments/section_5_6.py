@@ -137,23 +137,31 @@ def right_dimple() -> tuple[float, float]:
     return thesis.EMBRYO_PIXEL * (x1 - x2), thesis.EMBRYO_PIXEL * (float(curve(x1)) - y2)
 
 
-def probe_half_widths() -> tuple[float, float]:
+def probe_half_widths(*, coordinates: bool = False) -> tuple[float, float]:
     """Return the half-widths (µm) between which (5.2) gives Table 5.6 within its rounding.
 
     They are the largest and the smallest that radius, depth, force and modulus allow, each off by
-    half a unit in its last printed place.
+    half a unit in its last printed place. With `coordinates`, radius and depth must also agree with
+    the printed coordinates of rim and bottom.
     """
-    printed = {name: claim(f"table-5.6/{name}") for name in ("a", "w_d", "F", "E")}
+    ends = {}
+    for name in ("a", "w_d", "F", "E"):
+        entry = claim(f"table-5.6/{name}")
+        ends[name] = entry.value + half_ulp(entry.printed) * np.array([-1, 1])
+    if coordinates:
+        # A length is the difference of two coordinates.
+        rounding = [2 * half_ulp(claim(f"section-5.6/{one}").printed) for one in ("x_1", "y_1")]
+        for name, length, px in zip(("a", "w_d"), printed_dimple(), rounding, strict=True):
+            reach = thesis.EMBRYO_PIXEL * px * np.array([-1, 1])
+            ends[name] = np.clip(ends[name], *(length + reach))
 
-    def excess(half_width: float, side: int) -> float:
+    def excess(half_width: float, last: int) -> float:
         # (5.2) grows with a and F and falls with w_d and c.
-        signs = {"a": side, "w_d": -side, "F": side, "E": -side}
-        a, w_d, force, modulus = (
-            entry.value + signs[name] * half_ulp(entry.printed) for name, entry in printed.items()
-        )
+        a, force = ends["a"][last], ends["F"][last]
+        w_d, modulus = ends["w_d"][1 - last], ends["E"][1 - last]
         return thesis.modulus(a, w_d, force=force, probe_half_width=half_width) - modulus
 
-    low, high = (float(brentq(excess, 1.0, 200.0, args=(side,))) for side in (-1, 1))
+    low, high = (float(brentq(excess, 1.0, 200.0, args=(last,))) for last in (0, 1))
     return low, high
 
 

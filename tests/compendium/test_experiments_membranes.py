@@ -3,13 +3,21 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.integrate import solve_bvp
+from scipy.integrate import quad, solve_bvp
 
 from compendium import thesis
 from compendium.experiments import membranes, section_5_6
 from compendium.experiments.chapter_4 import probe_sines
 from compendium.experiments.membranes import PRIORS
-from microlib.membrane import capsule_modulus, dimple_profile, disc_modulus, indentation_force
+from microlib.embryo import dimple_geometry
+from microlib.membrane import (
+    capsule_modulus,
+    dimple_profile,
+    disc_modulus,
+    elastic_modulus,
+    indentation_force,
+    membrane_stress,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 DEPTH = section_5_6.printed_dimple()[1]
@@ -132,21 +140,58 @@ def test_readings_follow_from_the_exponents_and_the_curve():
     )
 
 
-def test_modulus_ratios_agree_with_inverse_solver():
-    """One is solved for the depth, the other for the modulus."""
-    curve, depth = membranes.modulus_ratios("Hooke, no pressure"), 0.4
+def test_modulus_ratio_agrees_with_inverse_solver():
+    """One is solved for the load of a depth, the other for the modulus."""
+    depth, before = 0.4, membranes.DISCS["Hooke, no pressure"]
     sizes = (membranes.INPUTS["rim_radius"], depth * membranes.INPUTS["rim_radius"])
-    before = membranes.DISCS["Hooke, no pressure"]
     whole = disc_modulus(thesis.FORCE, *sizes, **thesis.MEMBRANE, **before)
-    # Straight lines between 12 points miss a curve that bends this little by less than 1 %.
-    found = np.interp(depth, curve.index, curve)
-    assert found == pytest.approx(whole / thesis.modulus(*sizes), rel=0.01)
+    found = membranes.modulus_ratios("Hooke, no pressure", [depth])
+    assert found.index.to_list() == [depth]
+    assert found[depth] == pytest.approx(whole / thesis.modulus(*sizes), rel=1e-4)
 
 
-def test_no_reading_of_the_outline_has_a_slope_that_carries_the_force():
-    """The row of the sine at the probe names these; the sine is proportional to w_d/a."""
+def test_no_reading_that_gives_the_printed_modulus_has_a_slope_that_carries_the_force():
+    """The row of the sine at the probe states these numbers; the sine is proportional to w_d/a."""
     found, inputs = membranes.readings(), membranes.INPUTS
-    every_width = np.linspace(0.01, 0.99, 981) * inputs["rim_radius"]
-    least = probe_sines(every_width).min() * inputs["rim_radius"] / inputs["dimple_depth"]
-    sines = least * found["w_d"] / found["a"]
-    assert sines.min() == sines["edge-depth"] == pytest.approx(1.51, abs=0.005)
+    printed = probe_sines(25.0) * inputs["rim_radius"] / inputs["dimple_depth"]
+    sines = (printed * found["w_d"] / found["a"])[found["c"] == 25.0]
+    assert sines["left-rim"] == pytest.approx(2.67, abs=0.005)
+    assert sines.idxmin() == "edge-depth"
+    assert printed * found.loc["edge-depth", "w_d"] / inputs["rim_radius"] == pytest.approx(
+        2.02, abs=0.005
+    )
+    # The depth of the curve at each c, below the rim of each side.
+    curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
+    dimple = dimple_geometry(curve, pixel_size=pixel)
+    rims = [(-1, dimple.rim_radius, dimple.dimple_depth), (1, *section_5_6.right_dimple())]
+    c = np.arange(10.0, 60.0, 0.05)
+    for (side, radius, deep), least in zip(rims, (43.5, 46.2), strict=True):
+        x, bottom = dimple.bottom
+        depth = deep - pixel * (curve(x + side * c / pixel) - bottom)
+        sizes = {"thickness": inputs["thickness"], "probe_half_width": c}
+        stress = membrane_stress(thesis.FORCE, radius, depth, **sizes)
+        carried = thesis.FORCE * (1 - (c / radius) ** 2)
+        sine = carried / (2 * np.pi * c * inputs["thickness"] * stress)
+        assert c[sine < 1].min() == pytest.approx(least, abs=0.1)
+        if side < 0:
+            widths = thesis.MEMBRANE | {"probe_half_width": c}
+            modulus = elastic_modulus(thesis.FORCE, radius, depth, **widths)
+            assert modulus.min() == pytest.approx(2.84, abs=0.02)
+
+
+def test_uniform_stress_with_exact_slopes_makes_no_dimple_as_deep():
+    """The slope is vertical at the probe at most: sin θ = (c/r)(1 − r²/a²)/(1 − c²/a²)."""
+
+    def deepest(ratio: float) -> float:
+        def slope(t: float) -> float:  # r = ζ + t² takes the root at the probe out of the integral
+            r = ratio + t**2
+            sine = ratio / r * (1 - r**2) / (1 - ratio**2)
+            return 2 * t * sine / np.sqrt(max(1 - sine**2, 1e-300))
+
+        return float(quad(slope, 0, np.sqrt(1 - ratio))[0])
+
+    depths = [deepest(ratio) for ratio in np.arange(0.02, 0.99, 0.01)]
+    inputs = membranes.INPUTS
+    assert max(depths) == pytest.approx(membranes.deepest_uniform(), abs=1e-4)
+    assert max(depths) == pytest.approx(0.405, abs=5e-4)
+    assert inputs["dimple_depth"] / inputs["rim_radius"] == pytest.approx(0.491, abs=5e-4)

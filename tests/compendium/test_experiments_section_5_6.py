@@ -91,6 +91,8 @@ def test_printed_modulus_implies_probe_half_width_of_25_um():
     low, high = section_5_6.probe_half_widths()
     assert low < 25.0 < high
     assert high - low < 0.02
+    narrow = section_5_6.probe_half_widths(coordinates=True)  # as the row of the modulus states
+    assert narrow == pytest.approx((24.996, 25.002), abs=5e-4)
     # Each number of Table 5.6 off by half a unit, every combination: none gives a c outside.
     film = {"thickness": 3.0, "poisson_ratio": 0.5}
     printed = [claim(f"table-5.6/{name}") for name in ("a", "w_d", "F", "E")]
