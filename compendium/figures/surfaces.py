@@ -34,7 +34,7 @@ PALETTE = ListedColormap(HK_COLORS)
 def draw_sinking_stage() -> Figure:
     """Draw figure 3.2: a hill on a stage that sinks until its top is in focus."""
     across = np.linspace(-1, 1, 300)
-    top = 0.75  # d_s, the height of S, in units of the drawing
+    top = 0.75  # h_S, the height of S, in units of the drawing
     surface = top * np.exp(-((across / 0.45) ** 2))
     sinks = {"d = 0:\nthe ground is sharp": 0.0, "on the way:\nthe flank is sharp": 0.45}
     sinks["at the height of S:\nthe top is sharp"] = top
@@ -57,7 +57,7 @@ def draw_sinking_stage() -> Figure:
             # From the plane in focus, where the ground was, down to where it is.
             length(axes, (-0.92, 0), (-0.92, -lowered), "d", (0.14, 0))
     letter(row)
-    length(row[0], (0.62, 0), (0.62, top), "$d_s$", (0.2, 0))
+    length(row[0], (0.62, 0), (0.62, top), "$h_S$", (0.2, 0))
     row[0].text(0.36, 1.06, "objective")
     below = {"va": "top"}
     row[0].text(-1.25, -0.12, "plane in focus", **below)
