@@ -40,7 +40,7 @@ def draw_focus_stages(stages: Any) -> Figure:
         "8 restore relief": ((stages.final - stages.truth)[slope], "error (µm)", _ERRORS),
         "9 uncertainty": (stages.uncertainty, "uncertainty (µm)", {"cmap": "magma", "vmax": 10}),
     }
-    figure, grid = plt.subplots(5, 2, figsize=(6.4, 12.4))
+    figure, grid = plt.subplots(5, 2, figsize=(6.4, 10.4))
     for axes, (title, drawn) in zip(grid.flat, maps.items(), strict=True):
         axes.set_title(title)
         if drawn is not None:
@@ -48,7 +48,9 @@ def draw_focus_stages(stages: Any) -> Figure:
             axes.grid(False)
             axes.set(xticks=[], yticks=[], facecolor="#D9D9D9")
             shown = axes.imshow(image, **look)
-            figure.colorbar(shown, ax=axes, label=label, location="bottom")
+            figure.colorbar(shown, ax=axes, label=label, location="right")
+    for axes in (grid[1, 0], grid[2, 1]):
+        axes.set_box_aspect(0.75)  # as the maps
     _draw_fit(grid[1, 0], stages)
     _draw_step(grid[2, 1], stages)
     letter(grid.flat)
@@ -83,5 +85,5 @@ def _draw_step(axes: Axes, stages: Any) -> None:
         color=COLORS["orange"],
         label="chosen",
     )
-    axes.set(xlabel="x (px)", ylabel="height (µm)", ylim=(0, 200))
-    axes.legend(loc="lower left")
+    axes.set(xlabel="x (px)", ylabel="height (µm)", ylim=(0, 320))
+    axes.legend(loc="upper right")

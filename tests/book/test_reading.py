@@ -6,7 +6,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from book_verdicts import count_by_class, number_of
+from book_exercises import read_exercises
+from book_verdicts import count_by_class, grounds, number_of
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -62,6 +63,26 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
     for verdict in ledger.Verdict:
         number = sum(claim.verdict is verdict for claim in CLAIMS)
         assert count_by_class(verdict).total() == number_of(verdict.word) == number, verdict
+
+
+def test_every_verdict_names_what_it_rests_on() -> None:
+    """A contradiction has its proof first; what is possible has its assumptions."""
+    for claim in CLAIMS:
+        text = " ".join(part.astext() for part in grounds(claim))
+        assert text.endswith("."), claim.id
+        parts = (getattr(claim, name, "") for name in ("proof", "assumes", "chosen", "found"))
+        assert all(part.rstrip(".") in text for part in parts), claim.id
+
+
+def test_page_of_exercises_links_all_of_them(html: Path) -> None:
+    text = (html / "exercises.html").read_text("utf-8").partition("<article")[2]
+    found = {path: read_exercises(path) for path in (ROOT / "notebooks").glob("[0-9]*.ipynb")}
+    assert sum(map(len, found.values())) > 2
+    for path, exercises in found.items():
+        chapter = (html / "notebooks" / f"{path.stem}.html").read_text("utf-8")
+        for one in exercises:
+            assert f'href="notebooks/{path.stem}.html#{one.label}"' in text, one.label
+            assert f'id="{one.label}"' in chapter, one.label
 
 
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
