@@ -11,7 +11,6 @@ from functools import cached_property, partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from microlib._common import Array, Image
 from microlib.tracking._geometry import (
@@ -208,17 +207,6 @@ class Level:
         rows[n + 2] -= self.mean
         rows[n:] *= weight.ravel()
         return rows
-
-
-def masked_translation(level: Level, mask: NDArray[np.bool_]) -> Level:
-    """Return a part of a level whose motion is a translation."""
-    return replace(
-        level,
-        mask=np.pad(mask * np.float32(1), padding(level.smoothing)),
-        size=float(mask.sum()),
-        basis=level.basis[:2],
-        flow=np.ascontiguousarray(level.flow[:, :2]),
-    )
 
 
 @dataclass(frozen=True, eq=False)

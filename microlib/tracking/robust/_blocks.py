@@ -83,17 +83,6 @@ class Blocks:
         )
         return agreeing / max(all_blocks, TINY)
 
-    def disagreeing(self) -> NDArray[np.bool_]:
-        """Return the pixels of the blocks that could agree but do not, H×W."""
-        possible = self.possible
-        wrong = (possible > 0.5) & (self.scores() < 0.3 * np.minimum(possible, 2))
-        rows, columns = (_cells(side) for side in self.shape)
-        padded = np.pad(wrong.reshape(len(rows) - 1, len(columns) - 1), 1)
-        cells = padded[1:, 1:] | padded[1:, :-1] | padded[:-1, 1:] | padded[:-1, :-1]
-        for axis, (side, starts) in enumerate(zip(self.shape, (rows, columns), strict=True)):
-            cells = np.repeat(cells, np.diff(starts, append=side), axis=axis)
-        return cells
-
     @cached_property
     def texture(self) -> Array:
         """Variance of the image over that of the noise, minus 1, in the visible part of a block."""

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._esm import masked_translation
 from microlib.tracking._geometry import TINY
 from microlib.tracking._sampling import SearchFrame
 from microlib.tracking.robust._covariance import largest_sigma
@@ -170,18 +169,21 @@ class Search:
         candidate = judge_photometric(template, fit)
         if fit.reason:
             return candidate, inlier_ratio
+        sigma = largest_sigma(candidate.corner_covariance)
         probability = candidate.confidence or confidence(
             settings.confidence_coefficients,
             score=scores[best],
             second_score=scores[others[0]] if others else 0.0,
             inlier_ratio=inlier_ratio,
             displacement=np.hypot(*template.displacement(self.pose, fit.pose)) / template.side,
-            sigma=largest_sigma(candidate.corner_covariance),
+            sigma=sigma,
         )
-        doubt = self._second_motion_score(fit, moved) / max(scores[best], TINY)
-        if self._object_moved(fit, largest_sigma(candidate.corner_covariance)):
+        if self._object_moved(fit, sigma):
             candidate, probability = replace(candidate, reason="two motions"), 0.0
-        return replace(candidate, confidence=probability * max(0.0, 1.0 - doubt)), inlier_ratio
+        if probability >= settings.threshold:
+            doubt = self._second_motion_score(fit, moved) / max(scores[best], TINY)
+            probability *= max(0.0, 1.0 - doubt)
+        return replace(candidate, confidence=probability), inlier_ratio
 
     def _flow_pose(self, pose: Array) -> Array | None:
         return self.template.points.flow_pose(self.frame.layer(self.template.fine.halvings), pose)
@@ -191,30 +193,15 @@ class Search:
 
         A box is drawn around an object. If only the outer part of the template or very little of it
         agrees with the pose of the first frame, that is taken for the pose of ground at rest.
-        It is, too, if blocks that disagree agree better at another place nearby. If only the middle
-        agrees, the pose is that of the object, but the corners may be uncertain.
+        If only the middle agrees, the pose is that of the object, but the corners may be uncertain.
         """
-        template, settings, frame = self.template, self.template.settings, self.frame
-        eccentricity = fit.blocks.eccentricity()
-        at_rest = template.distance(fit.pose, self.first_pose) < settings.at_rest
-        hollow = eccentricity > settings.outer[1]
-        little = fit.blocks.score() < settings.min_score_share * fit.blocks.possible.sum()
-        if (hollow or little) and at_rest:
-            return True
-        if eccentricity < settings.outer[0]:
-            return eccentricity < settings.inner and sigma > settings.max_inner_sigma
-        level = template.fine
-        here = template.blocks(level, frame, fit.pose)
-        part = masked_translation(level, here.disagreeing())
-        layer, gain = frame.layer(level.halvings), 0.0
-        peaks = ncc_peaks(part, layer, fit.pose, apart=2) if part.size else []
-        near = [peak for peak in peaks if template.distance(fit.pose, peak) < template.side / 2]
-        for peak in near[: settings.beam]:
-            other = part.align(layer, peak, tolerance=settings.rough_tolerance).pose
-            if template.apart(fit.pose, other):
-                gain = max(gain, here.excess_in(template.blocks(level, frame, other)))
-        least, share = settings.second_motion
-        return gain > share * (1.0 if at_rest else max(least, here.score()))
+        blocks, settings = fit.blocks, self.template.settings
+        eccentricity = blocks.eccentricity()
+        if self.template.distance(fit.pose, self.first_pose) < settings.at_rest:
+            least_score = settings.min_score_share * blocks.possible.sum()
+            if eccentricity > settings.outer or blocks.score() < least_score:
+                return True
+        return eccentricity < settings.inner and sigma > settings.max_inner_sigma
 
     def _second_motion_score(self, fit: PhotometricFit, start: Array | None) -> float:
         """Return how much more some blocks agree where other points move together, nats.

@@ -180,16 +180,16 @@ def make_search_template(
 def _periods(template: SearchTemplate, frame: SearchFrame, pose: Array) -> tuple[Array, ...]:
     """Return the shortest warps of a template to places of its frame that resemble it."""
     settings, level = template.settings, template.fine
-    layer, least = frame.layer(level.halvings), settings.apart
+    layer, own = frame.layer(level.halvings), template.score(frame, pose)
     peaks = ncc_peaks(level, layer, pose, apart=2, least=settings.period_ncc)
-    peaks = [peak for peak in peaks if np.hypot(*template.displacement(pose, peak)) > least]
-    peaks = sorted(peaks, key=lambda peak: np.hypot(*template.displacement(pose, peak)))
-    own = template.score(frame, pose)
+    steps = sorted((template.displacement(pose, peak) for peak in peaks), key=np.linalg.norm)
+    steps = [step for step in steps if np.hypot(*step) > settings.apart]
     periods = []
-    for peak in peaks[: settings.max_periods]:
-        fit = level.align(layer, peak, tolerance=settings.tolerance)
-        step = template.displacement(pose, fit.pose)
-        shifted = translate(pose, step)
-        if np.hypot(*step) > least and template.score(frame, shifted) > settings.period_share * own:
+    for step in steps[: settings.max_periods]:
+        fit = level.align(layer, translate(pose, step), tolerance=settings.tolerance)
+        period = template.displacement(pose, fit.pose)
+        shifted = translate(pose, period)
+        resembles = template.score(frame, shifted) > settings.period_share * own
+        if resembles and np.hypot(*period) > settings.apart:
             periods.append(np.linalg.inv(pose) @ shifted)
     return tuple(periods)
