@@ -9,6 +9,7 @@ from decimal import Decimal
 from itertools import pairwise
 from math import prod
 from pathlib import Path
+from statistics import mode
 
 from natsort import natsorted, ns
 
@@ -53,9 +54,12 @@ def in_order(files: Sequence[Path]) -> list[Path]:
 def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> None:
     """Reject files of several axes; warn of files that may be missing or of another series."""
     first, *_, last = (file.name for file in (*files, files[-1]))
-    if len({tuple(each[::2]) for each in parts}) > 1:
+    texts = [tuple(each[::2]) for each in parts]
+    odd = [file.name for file, text in zip(files, texts, strict=True) if text != mode(texts)]
+    if odd:
+        shown = f" ({odd[0]} from most)" if 2 * len(odd) < len(files) else ""
         warnings.warn(
-            f"names differ in more than numbers, frames are read from {first} to {last}",
+            f"names differ in more than numbers{shown}, frames are read from {first} to {last}",
             stacklevel=3,
         )
         return
