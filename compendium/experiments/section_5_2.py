@@ -47,21 +47,15 @@ class Photograph:
         Grey levels.
     found : Detection
         Its points.
-    world : ndarray, shape (N, 2)
-        The points on the pattern, µm.
-    errors : ndarray, shape (M, 2)
-        Detected minus true image points, px, of this image and, if it has few marks, of more.
     images : int
-        How many those are.
+        Number of images whose errors are drawn: more than this one if it has few marks.
     with_f, without_f : list of Calibration
-        From true points with errors drawn anew from `errors`: with the focal length given, as in
-        the thesis, and without.
+        From true points with errors drawn anew from those of the images: with the focal length
+        given, as in the thesis, and without.
     """
 
     image: NDArray
     found: Detection
-    world: NDArray
-    errors: NDArray
     images: int
     with_f: list[Calibration]
     without_f: list[Calibration]
@@ -99,7 +93,7 @@ def photograph(column: str, seed: int | list[int], draws: int) -> Photograph:
         seen[order] += errors[chosen].reshape(-1, 2)
         with_f.append(calibrate(world, seen, focal_length=f, **SENSOR))
         without_f.append(calibrate(world, seen, **SENSOR))
-    return Photograph(image, found, world, errors.reshape(-1, 2), len(images), with_f, without_f)
+    return Photograph(image, found, len(images), with_f, without_f)
 
 
 def render(column: str, rng: np.random.Generator) -> tuple[NDArray, Detection]:

@@ -66,9 +66,6 @@ class RoundingReach:
 
     Attributes
     ----------
-    worst : dict of str to float
-        Largest shift of each of `READ`: the sum of the effects of the 24 coefficients, each half a
-        unit in its last place.
     share : float
         Least share of that half unit within which all 24 coefficients have to move for the four
         coordinates to come out as printed together; no rounding gives more than 1.
@@ -79,7 +76,6 @@ class RoundingReach:
         rounding gives more, as if it were Gaussian.
     """
 
-    worst: dict[str, float]
     share: float
     units: NDArray
     chi_squared: float
@@ -87,21 +83,20 @@ class RoundingReach:
 
 
 def rounding_reach() -> RoundingReach:
-    """Judge the four printed coordinates of section 5.6 together, and each by its worst case."""
+    """Judge the four printed coordinates of section 5.6 together."""
     entries = [claim(f"section-5.6/{name}") for name in READ[:4]]
     printed = np.array([entry.value for entry in entries])
     half = np.array([half_ulp(entry.printed) for entry in entries])
     effects = _effects(np.zeros(24))
-    worst = dict(zip(READ, np.abs(effects).sum(axis=1), strict=True))
     # An even distribution has a third of its half-width's square as its variance.
-    covariance = (effects[:4] @ effects[:4].T + np.diag(half**2)) / 3
+    covariance = (effects @ effects.T + np.diag(half**2)) / 3
     apart = printed - read_off()[:4]
     chi_squared = float(apart @ np.linalg.solve(covariance, apart))
     # The least largest |unit| that brings each coordinate to within `half` of the printed one.
     one, none, cost = np.ones((24, 1)), np.zeros((4, 1)), np.append(np.zeros(24), 1.0)
     units, share = np.zeros(24), 0.0
     for _ in range(3):  # three linear programs leave 1e-11 px of the coordinates, two 3e-6 px
-        slopes = _effects(units)[:4]
+        slopes = _effects(units)
         wanted = printed - read_off(units)[:4] + slopes @ units
         bounds = np.block(
             [[slopes, none], [-slopes, none], [np.eye(24), -one], [-np.eye(24), -one]]
@@ -109,12 +104,12 @@ def rounding_reach() -> RoundingReach:
         limits = np.concatenate([wanted + half, half - wanted, np.zeros(48)])
         found = linprog(cost, A_ub=bounds, b_ub=limits, bounds=(None, None)).x
         units, share = found[:-1], float(found[-1])
-    return RoundingReach(worst, share, units, chi_squared, float(chi2.sf(chi_squared, 4)))
+    return RoundingReach(share, units, chi_squared, float(chi2.sf(chi_squared, 4)))
 
 
 def _effects(units: NDArray) -> NDArray:
-    """Return the change of each of `READ` for one half unit of each coefficient, 5×24."""
-    return np.transpose([(read_off(units + s) - read_off(units - s)) / 0.2 for s in _STEPS])
+    """Return the change of each coordinate for one half unit of each coefficient, 4×24."""
+    return np.transpose([(read_off(units + s) - read_off(units - s))[:4] / 0.2 for s in _STEPS])
 
 
 def printed_dimple() -> tuple[float, float]:
