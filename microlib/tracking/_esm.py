@@ -22,6 +22,7 @@ from microlib.tracking._geometry import (
     cut_around,
     translate,
 )
+from microlib.tracking._normal_equations import gram
 from microlib.tracking._sampling import cut_out, half_pixel, noise_gain, padding, sample
 from microlib.tracking._settings import TrackerSettings
 
@@ -165,7 +166,7 @@ class Level:
             if visible < settings.min_visible:
                 return failed(reason="out of view")
             rows = self._rows(grey, gradient, weight, gain)
-            normal = rows @ rows.T
+            normal = gram(rows, rows)
             solution = _solved(normal)
             if not solution.size:
                 return failed(reason="singular")
@@ -198,7 +199,7 @@ class Level:
         (J(e) + J(x))/2 of Benhimane and Malis (2004).
         """
         n = len(self.basis)
-        rows = np.empty((n + 3, grey.size))
+        rows = np.empty((n + 3, grey.size), np.float32)
         gradient = gradient + np.float32(gain) * self.gradient
         gradient *= weight.ravel() * np.float32(0.5)
         np.multiply(self.flow[0], gradient[0], out=rows[:n])

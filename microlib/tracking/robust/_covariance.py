@@ -8,7 +8,7 @@ import numpy as np
 from microlib._common import Array, Image
 from microlib.tracking._esm import Alignment, Level
 from microlib.tracking._geometry import corner_jacobian
-from microlib.tracking.robust._normal_equations import gram, ridged
+from microlib.tracking._normal_equations import gram, ridged
 
 
 def corner_covariance(level: Level, fit: Alignment, slope: Image) -> Array:

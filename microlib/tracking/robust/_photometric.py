@@ -15,8 +15,8 @@ from scipy.interpolate import BSpline
 from microlib._common import TUKEY_LIMIT, Array, Image, robust_std, tukey_weights
 from microlib.tracking._esm import Alignment, Level
 from microlib.tracking._geometry import TINY, advance
+from microlib.tracking._normal_equations import weighted_least_squares
 from microlib.tracking.robust._blocks import Blocks, compare
-from microlib.tracking.robust._normal_equations import weighted_least_squares
 
 #: The columns that depend on the template come first, those of the bias behind.
 _TEMPLATE, _BIAS = slice(0, 6), slice(6, None)
