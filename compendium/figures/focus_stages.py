@@ -85,5 +85,5 @@ def _draw_step(axes: Axes, stages: Any) -> None:
         color=COLORS["orange"],
         label="chosen",
     )
-    axes.set(xlabel="x (px)", ylabel="height (µm)", ylim=(0, 320))
+    axes.set(xlabel="x (px)", ylabel="height (µm)", xlim=(84, 128), ylim=(0, 200))
     axes.legend(loc="upper right")
