@@ -85,5 +85,6 @@ def _draw_step(axes: Axes, stages: Any) -> None:
         color=COLORS["orange"],
         label="chosen",
     )
-    axes.set(xlabel="x (px)", ylabel="height (µm)", xlim=(84, 128), ylim=(0, 200))
-    axes.legend(loc="upper right")
+    axes.set(xlabel="x (px)", ylabel="height (µm)", ylim=(0, 200))
+    narrow = {"columnspacing": 0.5, "handlelength": 0.8, "handletextpad": 0.3}
+    axes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.4), ncols=3, **narrow)
