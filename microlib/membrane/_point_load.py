@@ -499,8 +499,8 @@ def _warn_if_steep(rim_radius: Array, depth: Array) -> None:
         warnings.warn(
             f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
             "makes the modulus 4 % to 11 % too low at w_d/a = 0.1, and the error grows with w_d/a "
-            "(see finite_slope_modulus); the uniform stress makes it up to 2.5 times too high at "
-            "any depth (see model_moduli)",
+            "(see finite_slope_modulus); the uniform stress has a larger effect, and for small "
+            "slopes at c/a = 0.1 makes it 2.5 times too high (see model_moduli)",
             SmallSlopeWarning,
             stacklevel=3,
         )
