@@ -72,7 +72,9 @@ def test_notebook_follows_layout_rules(path: Path) -> None:
     assert "record" in first.source
     lines = {cell.id: len(cell.source.splitlines()) for cell in cells}
     assert max(lines.values()) <= 25, lines
-    assert path != CHAPTER_5 or sum(lines.values()) <= 540
+    # The code of an exercise is read apart from the chapter.
+    chapter = {id: count for id, count in lines.items() if not id.startswith("ch5-ex")}
+    assert path != CHAPTER_5 or sum(chapter.values()) <= 540
     for cell in cells:
         assert not cell.outputs, f"{cell.id} has outputs; run `make format`"
         figure = cell.metadata.get("mystnb", {})
