@@ -134,7 +134,7 @@ def excerpt(folder: Path) -> Path:
     for name in ("microlib", "compendium", "data"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     notebook = nbformat.read(CHAPTER_5, as_version=4)
-    notebook.cells = [cell for cell in notebook.cells if re.fullmatch(r"ch5-\d\db?", cell.id)]
+    notebook.cells = [cell for cell in notebook.cells if re.fullmatch(r"ch5-\d\d[bct]?", cell.id)]
     path = folder / "05_excerpt.ipynb"
     nbformat.write(notebook, path)
     return path
