@@ -10,6 +10,7 @@ any of it.
 
 from __future__ import annotations
 
+import base64
 import re
 import shutil
 import subprocess
@@ -28,6 +29,7 @@ MATHJAX = "mathjax/tex-svg-full.js"
 # Regular expressions and their replacements in every page.
 HTML_FIXES: dict[str, str | Callable[[re.Match[str]], str]] = {
     r'<link rel="preload" as="font"[^>]*>': "",
+    r'<script src="[^"]*/fontawesome/[^"]*\.js[^"]*"></script>': "",
     r'<summary>(?=<span class="toctree-toggle")': '<summary aria-label="subpages">',
     r' role="doc-biblioentry"| role="list"(?= class="citation-list")': "",
     r'(?<=class="pst-scrollable-table-container")': ' tabindex="0" role="group" aria-label="table"',
@@ -74,6 +76,25 @@ def shape_page(app: Sphinx, page: str, template: str, context: dict, doctree: An
     context["css_files"] = [s for s in context.get("css_files", []) if wanted(s)]
 
 
+def embed_icons(static: Path) -> None:
+    """Put the font of the icons into their style sheet, and drop the script that draws them.
+
+    The script weighs 1.5 MB on every page. The font is inside of the sheet because browsers refuse
+    fonts in other files for a page that is opened from a file. All icons of the theme are solid.
+    """
+    for sheet in static.glob("vendor/fontawesome/*/css/all.min.css"):
+        folder = sheet.parents[1]
+        font = base64.b64encode((folder / "webfonts" / "fa-solid-900.woff2").read_bytes()).decode()
+        face = (
+            '@font-face{font-family:"Font Awesome 6 Free";font-style:normal;font-weight:900;'
+            f"font-display:block;src:url(data:font/woff2;base64,{font})}}"
+        )
+        rules = re.sub(r"@font-face{[^}]*}", "", sheet.read_text(encoding="utf-8"))
+        sheet.write_text(rules + face, encoding="utf-8")
+        for unused in ("js", "webfonts"):
+            shutil.rmtree(folder / unused)
+
+
 def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     if error or app.builder.format != "html":
         return
@@ -86,6 +107,7 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
         for pattern, replacement in HTML_FIXES.items():
             html = re.sub(pattern, replacement, html)
         page.write_text(html, encoding="utf-8")
+    embed_icons(static)
     # What no page needs: maps for who changes the theme, fonts for old browsers, other languages.
     for unused in [*static.rglob("*.map"), *static.rglob("*.ttf")]:
         unused.unlink()

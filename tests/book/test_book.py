@@ -81,6 +81,7 @@ def test_pages_and_pictures_stay_below_size_limits(pages: dict[Path, Links], htm
     with all their pixels. What pages share is not counted. The whole stays under 35 MB."""
     whole = sum(path.stat().st_size for path in html.resolve().rglob("*") if path.is_file())
     assert whole < 35e6, f"{whole / 1e6:.1f} MB"
+    assert not list((html / "_static" / "vendor").rglob("fontawesome/**/*.js")), "1.5 MB a page"
     for path, page in pages.items():
         loads = {unquote(urlsplit(u).path) for u in page.loads if "_images" in u}
         own = {(path.parent / one).resolve() for one in loads}
