@@ -369,7 +369,7 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
         (32, {"high": np.inf, "undetermined": ("f",)}, 1, "the pixel size has no upper limit"),
         (
             32,
-            {"aspect_note": "the print is not square: ratio 2; pitch must be", "print_aspect": 2},
+            {"aspect_note": "the print is not square: ratio 2", "print_aspect": 2},
             2,
             "note: the print is not square: ratio 2; measure it, and give --pitch and --pitch-y\n",
         ),

@@ -119,7 +119,7 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
         session.note("the grid covers less than 5 % of the image: let it fill the image")
     if result.aspect_note:
         advice = "; measure it, and give --pitch and --pitch-y" * (result.print_aspect != 1)
-        session.note(result.aspect_note.partition("; pitch must")[0] + advice)
+        session.note(result.aspect_note + advice)
     if not result.adequate:
         more = " Several photographs show more of the lens" * (len(views) == 1)
         focal = "--focal-length that of the objective, " * focal_given

@@ -146,8 +146,8 @@ def calibrate(
     adequate. They are then to be measured along both directions, for `pitch`.
 
     *Inconsistent views*, such as a grating in the background or a mirrored print, are listed by
-    `inconsistent` of the result, or named by the error. They are those that do not have the lens of
-    the largest set of views with a common lens, and they are to be left out.
+    `inconsistent` of the result. If no fit is possible, the error names them. These views have
+    another lens than the largest set of views with a common lens. They are to be left out.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

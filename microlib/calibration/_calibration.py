@@ -135,7 +135,9 @@ class Calibration(Result):
         if self.inconsistent:
             numbers = ", ".join(str(view + 1) for view in self.inconsistent)
             lines.append(f"  inconsistent, to be left out: view {numbers}, counted from 1")
-        lines += [f"  {note}" for note in [self.aspect_note] if note]
+        if self.aspect_note:
+            remedy = "; pitch must be the distances of marks along both directions of the pattern"
+            lines.append(f"  {self.aspect_note}{remedy * (self.print_aspect != 1)}")
         if not self.adequate:
             lines.append(
                 f"  the model is not adequate: residuals of {self.reprojection.rms:.2g} px "
@@ -156,10 +158,7 @@ class Calibration(Result):
     def aspect_note(self) -> str:
         """What is not square, with its ratio; empty if nothing is."""
         if self.print_aspect != 1:
-            return (
-                f"the print is not square: ratio {self.print_aspect:.4f}; pitch must be the "
-                "distances of marks along both directions of the pattern"
-            )
+            return f"the print is not square: ratio {self.print_aspect:.4f}"
         pixel = self.parameters.get("pixel_aspect")
         return f"the pixels or the print are not square: ratio {pixel}" if pixel else ""
 

@@ -39,8 +39,8 @@ def track_each(
     box, motion, kalman, mask
         As for `ESMTracker`.
     rate : float, optional
-        Frames per second, for the column ``time_s``. By default the times are those that the file
-        of a `microlib.io.Stack` has, if it has any.
+        Frames per second, for the column ``time_s``. By default the column has the times of the
+        file of a `microlib.io.Stack`, if the file has times.
     pixel_size : float, optional
         Side of a pixel in the object plane, µm, for the columns ``x_um`` and ``y_um``: the
         displacement of the center since the first frame.

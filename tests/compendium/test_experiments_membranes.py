@@ -150,7 +150,7 @@ def test_modulus_ratio_agrees_with_inverse_solver():
     assert found[depth] == pytest.approx(whole / thesis.modulus(*sizes), rel=1e-4)
 
 
-def test_no_reading_that_gives_the_printed_modulus_has_a_slope_that_carries_the_force():
+def test_force_balance_needs_a_sine_above_one_in_each_reading_of_printed_modulus():
     """The row of the sine at the probe states these numbers; the sine is proportional to w_d/a."""
     found, inputs = membranes.readings(), membranes.INPUTS
     printed = probe_sines(25.0) * inputs["rim_radius"] / inputs["dimple_depth"]

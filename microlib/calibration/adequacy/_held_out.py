@@ -18,6 +18,8 @@ def agreeing_views(photographs: Photographs, alone: list[list[Fit]]) -> NDArray[
     lenses tried are the median of those of the single views, and those of at most ten views. Each
     is fitted anew to the views that it fits, and the first that fits most views is taken.
     """
+    if len(alone) == 1:
+        return np.ones(1, dtype=bool)
     lenses = [pair[0].lens for pair in alone]
     poses = np.concatenate([pair[0].poses for pair in alone])
     squares = [pair[0].rss / len(pair[0].residuals) for pair in alone]

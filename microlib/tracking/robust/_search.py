@@ -88,8 +88,8 @@ class Search:
     def _between_periods(self, pose: Array) -> bool:
         """Return whether a pose may be wrong by a period of the texture.
 
-        The surroundings of the template decide. If they agree with both poses, a pose that is more
-        than 0.4 of the period away from the expected one may be wrong.
+        The surroundings of the template decide. If they agree with both poses, a pose may be
+        wrong if the expected one is more than `max_period_share` of the period away.
         """
         template, settings = self.template, self.template.settings
         poses = [pose, *(pose @ period for period in template.periods)]
