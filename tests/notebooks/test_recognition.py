@@ -34,8 +34,8 @@ def write(path: Path, part: str, seed: int) -> None:
         write_height_tiff(path, height(part, seed), pixel_size=recognition.PIXEL)
 
 
-def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, object]:
-    names: dict[str, object] = {"mine": str(mine), "labelled": str(labelled)}
+def run_cell(mine: Path, labeled: Path, pixel_size: float | None) -> dict[str, object]:
+    names: dict[str, object] = {"mine": str(mine), "labeled": str(labeled)}
     names |= {"pixel_size": pixel_size, "noise": 1.0, "np": np, "re": re, "tifffile": tifffile}
     names |= {"Path": Path, "recognition": recognition}
     exec(CELLS["rec-use"], names)
@@ -44,39 +44,39 @@ def run_cell(mine: Path, labelled: Path, pixel_size: float | None) -> dict[str, 
 
 @pytest.mark.parametrize(("ending", "pixel_size"), [("ome.tif", None), ("npy", 4.0)])
 @pytest.mark.parametrize("part", PARTS)
-def test_a_map_of_the_reader_is_named_by_labelled_maps(tmp_path, part, ending, pixel_size):
+def test_a_map_of_the_reader_is_named_by_labeled_maps(tmp_path, part, ending, pixel_size):
     for k, name in enumerate(PARTS):
         for seed in range(4):
-            write(tmp_path / "labelled" / name / f"{seed}.{ending}", name, 10 * k + seed)
-    (tmp_path / "labelled" / "notes.txt").touch()
+            write(tmp_path / "labeled" / name / f"{seed}.{ending}", name, 10 * k + seed)
+    (tmp_path / "labeled" / "notes.txt").touch()
     mine = tmp_path / f"mine.{ending}"
     write(mine, part, 99)
-    names = run_cell(mine, tmp_path / "labelled", pixel_size)
+    names = run_cell(mine, tmp_path / "labeled", pixel_size)
     assert names["answer"]["name"].tolist() == [part]
 
 
 def test_unit_of_pixel_size_is_read_from_file(tmp_path):
     for k, name in enumerate(PARTS):
         for seed in range(2):
-            write(tmp_path / "labelled" / name / f"{seed}.ome.tif", name, 10 * k + seed)
+            write(tmp_path / "labeled" / name / f"{seed}.ome.tif", name, 10 * k + seed)
     mine, heights = tmp_path / "mine.ome.tif", height("cone", 99).astype(np.float32)
     distances = []
     for size, unit in ((4.0, "µm"), (4e-3, "mm"), (4000.0, "nm")):
         scale = {"PhysicalSizeX": size, "PhysicalSizeXUnit": unit}
         tifffile.imwrite(mine, heights, ome=True, metadata={"axes": "YX", **scale})
-        answer = run_cell(mine, tmp_path / "labelled", None)["answer"]
+        answer = run_cell(mine, tmp_path / "labeled", None)["answer"]
         distances.append(answer["distance"].item())
     assert distances == pytest.approx(distances[:1] * 3, rel=1e-9)
     scale = {"PhysicalSizeX": 4.0, "PhysicalSizeXUnit": "inch"}
     tifffile.imwrite(mine, heights, ome=True, metadata={"axes": "YX", **scale})
     with pytest.raises(ValueError, match=r"pixel_size of mine\.ome\.tif must be in µm, got inch"):
-        run_cell(mine, tmp_path / "labelled", None)
+        run_cell(mine, tmp_path / "labeled", None)
 
 
 def test_a_map_without_a_pixel_size_asks_for_it(tmp_path):
-    write(tmp_path / "labelled" / "cone" / "1.npy", "cone", 1)
+    write(tmp_path / "labeled" / "cone" / "1.npy", "cone", 1)
     with pytest.raises(ValueError, match=r"pixel_size must be given, as 1\.npy does"):
-        run_cell(tmp_path / "mine.npy", tmp_path / "labelled", None)
+        run_cell(tmp_path / "mine.npy", tmp_path / "labeled", None)
 
 
 def test_the_printed_command_is_one_that_the_runner_understands(tmp_path, monkeypatch):
@@ -88,4 +88,4 @@ def test_the_printed_command_is_one_that_the_runner_understands(tmp_path, monkey
     words = command[1].replace("\\\n", " ").split()
     given = [(words[k + 1], words[k + 2]) for k, word in enumerate(words) if word == "-p"]
     values = read_values(NOTEBOOK, given)
-    assert values == {"mine": "part.ome.tif", "labelled": "my_parts", "noise": 1.5}
+    assert values == {"mine": "part.ome.tif", "labeled": "my_parts", "noise": 1.5}
