@@ -121,5 +121,4 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     app.connect("config-inited", configure, priority=900)
     app.connect("html-page-context", shape_page, priority=900)
-    app.add_css_file("pdf.css")
     app.connect("build-finished", copy_libraries)

@@ -236,7 +236,7 @@ class LedgerTable(SphinxDirective):
         return [told, number, found, claim_link(self.env, claim), grounds(claim)]
 
 
-def grounds(claim: ledger.Claim) -> list[nodes.Node]:
+def grounds(claim: ledger.Entry) -> list[nodes.Node]:
     """Return what a verdict rests on, as one paragraph for each kind of evidence."""
     if isinstance(claim, ledger.Follows):
         return [line("The printed formulas and numbers alone.")]
@@ -335,5 +335,3 @@ def setup(app: Sphinx) -> None:
     app.add_directive("errata", Errata)
     app.add_directive("reaches", Reaches)
     app.connect("doctree-read", name_cells)
-    app.add_css_file("thesis.css")
-    app.add_js_file("filter.js", loading_method="defer")
