@@ -17,7 +17,7 @@ import pytest
 
 import microlib
 from microlib._common import Result
-from tests.laws import public, resolve, tables
+from tests.laws import public, resolve
 
 PACKAGE = Path(microlib.__file__).parent
 ROOT = PACKAGE.parent
@@ -186,11 +186,6 @@ def test_public_names_are_documented(name):
     assert any(f"{heading}\n---" in doc for heading in wanted), (
         f"{name} lacks {' or '.join(wanted)}"
     )
-
-
-def test_every_public_name_has_a_row_of_laws():
-    """In the table of its room, as the docstring of tests/laws.py says."""
-    assert tables().keys() >= set(public())
 
 
 def test_import_loads_only_dependencies_of_the_library():

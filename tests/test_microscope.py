@@ -1,6 +1,6 @@
 """The microscope model against its equations, OpenCV, SciPy, and its own inverse."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,16 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from microlib.microscope import Microscope, distort, euler_rotation, project_points, undistort
-from tests.laws import NUMBER, Row, Units, laws_of, um
+from tests.checks import (
+    NO_NUMBER,
+    NOT_POSITIVE,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_array,
+    not_finite,
+    not_real,
+)
 
 # Rounding only: a few operations on numbers of about 1e5 µm, each good to 1e-16.
 ROUNDING = 1e-11
@@ -19,68 +28,80 @@ angles = st.floats(-np.pi, np.pi)
 small_tilts = st.floats(-0.35, 0.35)
 
 
-def pose(u, **changes):
-    """Return a microscope without a symmetry: turned, tilted, and with oblong pixels."""
-    given = {
-        **dict(zip(("alpha", "beta", "gamma"), (0.6, 0.3, -0.2), strict=True)),
-        "tube_length": 200e3 * u.um,
-        "focal_length": 126e3 * u.um,
-        "distance": 79e3 * u.um,
-        "distortion": -8.4e-10 / u.um**2,
-        "distortion_k2": 3e-17 / u.um**4,
-        "principal_offset": (14.0, -9.0),
-        "tx": -780.0 * u.um,
-        "ty": -55.0 * u.um,
-        "pixel_pitch": (9.9 * u.um, 8.3 * u.um),
-        "image_size": (640, 470),
-    }
-    return Microscope(**given | changes)
-
-
 SENSOR = {"pixel_pitch": (9.9, 8.3), "image_size": (640, 470)}
-SCOPE = pose(Units())
+TURNS = {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}
+LENGTHS = {
+    **{"tube_length": 200e3, "focal_length": 126e3, "distance": 79e3, "tx": -780.0, "ty": -55.0},
+    "pixel_pitch": (9.9, 8.3),
+}
+LENS = {"distortion": -8.4e-10, "distortion_k2": 3e-17}
+#: Turned, tilted, and with oblong pixels: without a symmetry.
+SCOPE = Microscope(**LENGTHS, **TURNS, **LENS, principal_offset=(14.0, -9.0), image_size=(640, 470))
 PLANE = np.random.default_rng(6).uniform(-900, 900, (7, 2))
-SCOPE_UNITS = {
-    **dict.fromkeys(("tube_length", "focal_length", "distance", "tx", "ty"), um),
-    **dict.fromkeys(("pixel_pitch", "translation", "pitch"), um),
-    **dict.fromkeys(("alpha", "beta", "gamma", "tilt", "rotation", "magnification"), NUMBER),
-    **dict.fromkeys(("image_size", "principal_offset", "principal_point"), NUMBER),
-    "principal_distance": NUMBER,
-    "distortion": 1 / um**2,
-    "distortion_k2": 1 / um**4,
+ON_SENSOR = np.array([[2900.0, -1800.0], [-700.0, 2100.0]])
+#: A valid call of each function.
+CALLS = {
+    Microscope: lambda: {
+        field.name: getattr(SCOPE, field.name) for field in fields(SCOPE) if field.init
+    },
+    Microscope.to_objective: lambda: {"self": SCOPE, "points": PLANE.copy()},
+    Microscope.project: lambda: {"self": SCOPE, "points": PLANE.copy()},
+    Microscope.back_project: lambda: {"self": SCOPE, "pixels": PLANE / 9 + 200},
+    distort: lambda: {"points": ON_SENSOR.copy(), **LENS},
+    undistort: lambda: {"points": ON_SENSOR.copy(), **LENS},
+    euler_rotation: lambda: dict(TURNS),
 }
-SCOPE_UNITS["view"] = {
-    **{name: SCOPE_UNITS.get(name, NUMBER) for name in SCOPE.view},
-    "convergence": 1 / um,
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+
+
+def no_points(valid):
+    """Return what is refused in place of points; NaN is one without an image."""
+    return [*not_real(valid), valid + np.inf]
+
+
+#: What is refused in place of each argument.
+REFUSED = {
+    Microscope: {
+        **dict.fromkeys((*TURNS, *LENS, "tx", "ty"), NO_NUMBER),
+        **dict.fromkeys(("tube_length", "focal_length", "distance"), NOT_POSITIVE),
+        "principal_offset": no_array,
+        "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, (9.9, -1.0), (9.9, 9.9, 9.9)],
+        "image_size": lambda valid: [*no_array(valid), (656, 0), (-656, 491), (656.5, 491), 656],
+    },
+    Microscope.to_objective: {"points": no_array},
+    Microscope.project: {"points": no_array},
+    Microscope.back_project: {"pixels": no_array},
+    distort: {"points": no_points, **dict.fromkeys(LENS, NO_NUMBER)},
+    undistort: {"points": no_points, **dict.fromkeys(LENS, NO_NUMBER)},
+    euler_rotation: dict.fromkeys(TURNS, NO_NUMBER),
 }
 
 
-def on_sensor(u):
-    points = np.array([[2900.0, -1800.0], [-700.0, 2100.0]])
-    return {
-        "points": points * u.um,
-        "distortion": -8.4e-10 / u.um**2,
-        "distortion_k2": 1e-17 / u.um**4,
-    }
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function])
 
 
-LAWS = {
-    "microscope.Microscope": Row(lambda u: vars(pose(u)), SCOPE_UNITS),
-    "microscope.Microscope.to_objective": Row(lambda u: {"self": pose(u), "points": PLANE * u.um},
-        um),
-    "microscope.Microscope.project": Row(lambda u: {"self": pose(u), "points": PLANE * u.um},
-        NUMBER),
-    "microscope.Microscope.back_project": Row(lambda u: {"self": pose(u),
-        "pixels": PLANE / 9 + 200}, um),
-    "microscope.distort": Row(on_sensor, um),
-    "microscope.undistort": Row(on_sensor, um),
-    "microscope.euler_rotation": Row(lambda u: {"alpha": 0.6, "beta": 0.3, "gamma": -0.2}, NUMBER),
-}  # fmt: skip
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED[function])
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+def test_microscope_in_nanometers_sees_the_same():
+    lengths = {name: 1e3 * np.array(length) for name, length in LENGTHS.items()}
+    kappas = {"distortion": -8.4e-16, "distortion_k2": 3e-29}
+    scope = replace(SCOPE, **lengths, **kappas)
+    lengths = dict.fromkeys((*LENGTHS, "pitch", "translation"), 1e3)
+    kappa = {"distortion": 1e-6, "distortion_k2": 1e-12}
+    view = {"tx": 1e3, "ty": 1e3, "convergence": 1e-3, **kappa}
+    hold_scaled(scope, SCOPE, **lengths, **kappa, view=view)
+    np.testing.assert_allclose(scope.project(1e3 * PLANE), SCOPE.project(PLANE))
+    np.testing.assert_allclose(scope.to_objective(1e3 * PLANE), 1e3 * SCOPE.to_objective(PLANE))
+    pixels = PLANE / 9 + 200
+    np.testing.assert_allclose(scope.back_project(pixels), 1e3 * SCOPE.back_project(pixels))
+    for change in (distort, undistort):
+        found = change(1e3 * ON_SENSOR, *kappas.values())
+        np.testing.assert_allclose(found, 1e3 * change(ON_SENSOR, *LENS.values()), rtol=1e-9)
 
 
 @given(angles, angles, angles)
@@ -149,17 +170,18 @@ def test_distort_and_undistort_are_inverse_with_two_coefficients(k1, k2, radius,
         assert np.isfinite(distort(0.999 * reach * direction, k1, k2)).all()
 
 
-@given(st.floats(-1e-8, 1e-8), st.floats(0, 5000), angles)
-@settings(deadline=None, max_examples=200)
-def test_undistort_is_the_inverse_of_distort_up_to_the_fold(distortion, radius, angle):
-    """The fold of u (1 + κ u²) lies at u = 1/√(−3κ), where u' = 2u/3."""
-    flat = radius * np.array([np.cos(angle), np.sin(angle)])
+@given(st.floats(-1e-8, -1e-11), st.floats(0.05, 3.0), angles)
+@settings(deadline=None, max_examples=100)
+def test_undistort_is_the_inverse_of_distort_up_to_the_fold(distortion, share, angle):
+    """The fold of u (1 + κ u²) lies at u = 1/√(−3κ); radii are drawn as shares of 2u/3 there."""
+    fold = 1 / np.sqrt(-3 * distortion)
+    flat = share * 2 / 3 * fold * np.array([np.cos(angle), np.sin(angle)])
     seen = distort(flat, distortion)
-    if 27 / 4 * -distortion * radius**2 > 1:
+    if share > 1.001:
         assert np.isnan(seen).all()
         assert np.isnan(undistort(1.5 * flat, distortion)).all()
-    elif 27 / 4 * -distortion * radius**2 < 0.99:  # at the fold the inverse loses half its digits
-        np.testing.assert_allclose(undistort(seen, distortion), flat, rtol=1e-13, atol=ROUNDING)
+    elif share < 0.995:  # at the fold the inverse loses half its digits
+        np.testing.assert_allclose(undistort(seen, distortion), flat, rtol=1e-12, atol=ROUNDING)
 
 
 def test_projection_behind_objective_is_nan():

@@ -7,7 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microlib import optics
-from tests.laws import NUMBER, VIEWS, Row, follows_view, grey, laws_of, px, um
+from tests.checks import (
+    BROKEN,
+    NEGATIVE,
+    NO_COUNT,
+    NOT_POSITIVE,
+    each_view,
+    follows_view,
+    hold_call,
+    hold_refused,
+    no_array,
+    not_finite,
+)
 
 #: µm: an objective near the thesis' (f = 31.4 mm, M = 6.4).
 LENS = {"focal_length": 31415.0, "sensor_distance": 232000.0, "aperture_radius": 4000.0}
@@ -16,35 +27,73 @@ IMAGE = np.random.default_rng(4).normal(90.0, 25.0, (23, 31))
 BLUR = np.linspace(0.3, 2.6, 23)[:, None] + np.linspace(0.0, 1.1, 31) ** 2
 
 
-def lens(u) -> dict:
-    return {name: length * u.um for name, length in LENS.items()}
-
-
 DISTANCES = np.array([33000.0, 36000.0, 41000.0])
-FLOAT32 = {"within": 1e-6}  # images are filtered in single precision
-LAWS = {
-    "optics.BlurLadder": Row(lambda u: {"image": IMAGE, "largest": 4.0 * u.px}, {"largest": px}),
-    "optics.BlurLadder.at": Row(lambda u: {
-        "self": optics.BlurLadder(u.grey0 + IMAGE * u.grey, 4.0), "sigma": BLUR},
-        grey.counted_from("grey0"), **FLOAT32),
-    "optics.blur_radius": Row(lambda u: {"object_distance": DISTANCES * u.um, **lens(u)}, um,
-        within=1e-8),
-    "optics.defocus": Row(lambda u: {"image": u.grey0 + IMAGE * u.grey, "sigma": 1.7},
-        grey.counted_from("grey0"), **FLOAT32),
-    "optics.gaussian_kernel": Row(lambda u: {"sigma": 1.3, "size": 7}, NUMBER),
-    "optics.gaussian_transfer": Row(lambda u: {"u": 0.4 / u.px, "v": np.array([-0.3, 0.7]) / u.px,
-        "sigma": 1.3 * u.px}, NUMBER),
-    "optics.image_distance": Row(lambda u: {"object_distance": DISTANCES * u.um,
-        "focal_length": LENS["focal_length"] * u.um}, um),
-}  # fmt: skip
+#: A valid call of each function.
+CALLS = {
+    optics.BlurLadder: lambda: {"image": IMAGE, "largest": 4.0},
+    optics.BlurLadder.at: lambda: {"self": optics.BlurLadder(IMAGE, 4.0), "sigma": BLUR},
+    optics.blur_radius: lambda: {"object_distance": DISTANCES, **LENS},
+    optics.defocus: lambda: {"image": IMAGE, "sigma": 1.7},
+    optics.gaussian_kernel: lambda: {"sigma": 1.3, "size": 7},
+    optics.gaussian_transfer: lambda: {"u": 0.4, "v": np.array([-0.3, 0.7]), "sigma": 1.3},
+    optics.image_distance: lambda: {
+        "object_distance": DISTANCES,
+        "focal_length": LENS["focal_length"],
+    },
+}
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+SMALL = np.zeros((4, 5))
+LENGTH = [*BROKEN, 0, -1]
+#: What is refused in place of each argument.
+REFUSED = {
+    optics.BlurLadder: {"image": no_array, "largest": NEGATIVE},
+    optics.BlurLadder.at: {"sigma": lambda valid: [*not_finite(valid), SMALL, 4.1]},
+    optics.blur_radius: {
+        "object_distance": not_finite,
+        "sensor_distance": [*LENGTH, 90.0],
+        **dict.fromkeys(("focal_length", "aperture_radius"), LENGTH),
+    },
+    optics.defocus: {"image": no_array, "sigma": [*BROKEN, -1, SMALL]},
+    optics.gaussian_kernel: {"sigma": NOT_POSITIVE, "size": [*NO_COUNT, 6]},
+    optics.gaussian_transfer: {"u": BROKEN, "v": not_finite, "sigma": [*BROKEN, -1]},
+    optics.image_distance: {
+        "object_distance": lambda valid: [*not_finite(valid), 50.0],
+        "focal_length": NOT_POSITIVE,
+    },
+}
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function])
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED[function])
+
+
+def test_distances_and_blur_are_lengths():
+    in_nm = {name: 1e3 * length for name, length in LENS.items()}
+    wanted = 1e3 * optics.blur_radius(DISTANCES, **LENS)
+    # A difference of distances that agree to a thousandth.
+    np.testing.assert_allclose(optics.blur_radius(1e3 * DISTANCES, **in_nm), wanted, rtol=1e-8)
+    wanted = 1e3 * optics.image_distance(DISTANCES, LENS["focal_length"])
+    found = optics.image_distance(1e3 * DISTANCES, in_nm["focal_length"])
+    np.testing.assert_allclose(found, wanted)
+    found = optics.gaussian_transfer(0.4 / 0.6, np.array([-0.3, 0.7]) / 0.6, 1.3 * 0.6)
+    np.testing.assert_allclose(found, optics.gaussian_transfer(0.4, [-0.3, 0.7], 1.3))
+
+
+@pytest.mark.parametrize("gain", [1 / 255, 257.0])
+def test_blurred_grey_levels_follow_gain_and_offset(gain):
+    for sigma in (1.7, BLUR):
+        wanted = gain * (optics.defocus(IMAGE, sigma) + 27.0)
+        found = optics.defocus(gain * (IMAGE + 27.0), sigma)
+        np.testing.assert_allclose(found, wanted, rtol=1e-5)  # single precision
+
+
+@each_view
 def test_defocus_follows_flips_and_rotations(view):
     for blur in (BLUR, np.full(IMAGE.shape, 1.7)):
         follows_view(view, optics.defocus, IMAGE, blur, rtol=1e-5)

@@ -1,50 +1,101 @@
-"""The laws of every public name of curvature."""
+"""The calls of every public function of curvature: their units, their axes and what they refuse."""
 
 import numpy as np
 import pytest
 
-from microlib.curvature import Curvature, region_table, surface_curvature
-from tests.laws import NUMBER, SAME, VIEWS, Row, laws_of, um
+from microlib import curvature
+from microlib.curvature import region_table, surface_curvature
+from tests.checks import (
+    BROKEN,
+    NO_COUNT,
+    NO_NUMBER,
+    each_view,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_array,
+    no_map,
+)
 
 Y, X = np.mgrid[0:31, 0:38] / 10.0
 #: A map without a symmetry, µm on pixels of 2.3 µm.
 HEIGHT = 3.0 * np.sin(X) * np.cos(0.7 * Y) + 0.4 * X * Y + 0.2 * Y**2
 LABELS = np.random.default_rng(2).integers(0, 10, (5, 6)).repeat(5, axis=0).repeat(4, axis=1)
-FIELDS = {
-    **dict.fromkeys(("mean", "mean_uncertainty"), 1 / um),
-    **dict.fromkeys(("gaussian", "gaussian_uncertainty"), 1 / um**2),
+BENT = surface_curvature(HEIGHT, 2.3, noise=0.04)
+#: A valid call of each function.
+CALLS = {
+    curvature.clean_labels: lambda: {"labels": LABELS.copy(), "smallest": 25},
+    curvature.curvature_windows: lambda: {"size": 7},
+    curvature.hk_labels: lambda: {
+        "mean": BENT.mean.copy(),
+        "gaussian": BENT.gaussian.copy(),
+        "h_zero": 0.01,
+        "k_zero": 2e-4,
+    },
+    curvature.region_table: lambda: {
+        "labels": np.pad(LABELS, ((0, 6), (9, 5))),
+        "curvature": BENT,
+    },
+    curvature.surface_curvature: lambda: {
+        "height": HEIGHT.copy(),
+        "pixel_size": 2.3,
+        "size": 5,
+        "noise": 0.04,
+    },
+}
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
+THRESHOLD = [None, "text", 1j, {}, [], -1]  # NaN leaves a pixel without a label
+#: What is refused in place of each argument.
+REFUSED = {
+    curvature.clean_labels: {
+        "labels": lambda valid: [*no_array(valid), [[12]], np.full((4, 4), 1.9), -np.eye(4)],
+        "smallest": NO_COUNT,
+    },
+    curvature.curvature_windows: {"size": [*NO_COUNT, 1, 4]},
+    curvature.hk_labels: {
+        "mean": no_map,
+        "gaussian": no_map,
+        "h_zero": THRESHOLD,
+        "k_zero": [*THRESHOLD, [0.1, 0.2]],
+    },
+    curvature.region_table: {"labels": lambda valid: [*no_array(valid), [[1]]]},
+    curvature.surface_curvature: {
+        "height": lambda valid: [*no_map(valid), np.zeros((8, 40)), np.full((40, 40), np.inf)],
+        "size": [*NO_COUNT, 4],
+        "noise": [*NO_NUMBER, -1],
+        "pixel_size": [*BROKEN, 0, -1],
+    },
 }
 
 
-def bent(u) -> Curvature:
-    return surface_curvature(u.z0 + HEIGHT * u.um, 2.3 * u.um, noise=0.04 * u.um)
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function], exact=("labels",))
 
 
-LAWS = {
-    "curvature.clean_labels": Row(lambda u: {"labels": LABELS, "smallest": 25}, NUMBER),
-    "curvature.curvature_windows": Row(lambda u: {"size": 7},
-        dict.fromkeys(("smooth", "mean", "slope", "second_derivative"), NUMBER)),
-    "curvature.hk_labels": Row(lambda u: {"mean": bent(u).mean, "gaussian": bent(u).gaussian,
-        "h_zero": 0.01 / u.um, "k_zero": 2e-4 / u.um**2}, NUMBER),
-    "curvature.region_table": Row(lambda u: {"labels": np.pad(LABELS, ((0, 6), (9, 5))),
-        "curvature": bent(u)}, {**dict.fromkeys(("label", "name"), SAME),
-        # 42 µm of height lose four digits of a second derivative
-        **dict.fromkeys(("area", "x", "y"), NUMBER), **FIELDS}, within=1e-8),
-    "curvature.surface_curvature": Row(lambda u: {"height": u.z0 + HEIGHT * u.um,
-        "pixel_size": 2.3 * u.um, "size": 5, "noise": 0.04 * u.um}, FIELDS, within=1e-8),
-}  # fmt: skip
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED[function])
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+def test_curvature_and_regions_follow_unit_and_origin_of_height():
+    um, labels = 1.7, np.pad(LABELS, ((0, 6), (9, 5)))
+    found = surface_curvature(um * (HEIGHT + 42.0), um * 2.3, noise=um * 0.04)
+    # 42 µm of height lose four digits of a second derivative.
+    by = {"mean": 1 / um, "gaussian": 1 / um**2}
+    uncertainties = {"mean_uncertainty": 1 / um, "gaussian_uncertainty": 1 / um**2}
+    hold_scaled(found, BENT, within=1e-8, **by, **uncertainties)
+    hold_scaled(region_table(labels, found), region_table(labels, BENT), within=1e-8, **by)
+    wanted = curvature.hk_labels(BENT.mean, BENT.gaussian, 0.01, 2e-4)
+    given = (found.mean, found.gaussian, 0.01 / um, 2e-4 / um**2)
+    np.testing.assert_array_equal(curvature.hk_labels(*given), wanted)
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@each_view
 def test_curvature_and_regions_follow_flips_and_rotations(view):
     holed = np.where((X > 3.2) & (Y < 0.4), np.nan, HEIGHT)
     plain, other = (surface_curvature(h, 2.3, noise=0.04) for h in (holed, view.image(holed)))
-    for name in FIELDS:
+    for name in ("mean", "gaussian", "mean_uncertainty", "gaussian_uncertainty"):
         wanted = view.image(getattr(plain, name))
         np.testing.assert_allclose(getattr(other, name), wanted, rtol=1e-9, atol=1e-12)
     labels = np.pad(LABELS, ((0, 6), (9, 5)))

@@ -1,97 +1,257 @@
-"""The laws of every public name of the membranes."""
+"""The calls of every public function of the membranes: their units and what they refuse."""
 
 import numpy as np
 import pytest
 
+from microlib import membrane
 from microlib.membrane import capsule_modulus, elastic_modulus, model_moduli
-from tests.laws import (
-    NUMBER,
-    MPa,
-    Row,
-    laws_of,
-    um,
-    uN,
+from tests.checks import (
+    BROKEN,
+    NEGATIVE,
+    NO_COUNT,
+    NO_NUMBER,
+    NO_TEXT,
+    NOT_POSITIVE,
+    Wrong,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_map,
+    not_finite,
 )
 
+pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 RUBBER = {"law": "mooney-rivlin", "poisson_ratio": 0.5}
 STEEL = {"law": "hooke", "poisson_ratio": 0.3}
-#: A rim of µm, an egg and its probe, none of them a round multiple of another.
-A, C, H, R = 213.0, 17.0, 2.6, 570.0
-STATE = {
-    **dict.fromkeys(("depth", "approach", "rim_radius", "r", "z"), um),
-    **dict.fromkeys(("stresses", "pressure"), MPa),
-    "stretches": NUMBER,
+#: A rim of µm and an egg, neither of them a round multiple of another length.
+A, R = 213.0, 570.0
+
+
+def wall(um: float) -> dict:
+    return {"thickness": 2.6 * um, "probe_half_width": 17.0 * um}
+
+
+def film(um: float) -> dict:
+    return wall(um) | {"poisson_ratio": 0.31}
+
+
+def dimple(um: float) -> dict:
+    return {"rim_radius": A * um, "dimple_depth": 19.0 * um}
+
+
+def geometry(um: float) -> dict:
+    return dimple(um) | {"probe_half_width": 17.0 * um}
+
+
+def pressed(um: float, uN: float) -> dict:
+    return {"force": 43.0 * uN, **dimple(um), **film(um)}
+
+
+def errors(um: float, uN: float) -> dict:
+    return {"force": 2.0 * uN, "thickness": 0.2 * um, "poisson_ratio": 0.02}
+
+
+#: A valid call of each function, in any units of length and force.
+CALLS = {
+    membrane.elastic_modulus: pressed,
+    membrane.finite_slope_modulus: pressed,
+    membrane.indentation_force: lambda um, uN: {
+        "modulus": 0.7 * uN / um**2,
+        **dimple(um),
+        **film(um),
+    },
+    membrane.dimple_depth: lambda um, uN: {
+        "force": 43.0 * uN,
+        "rim_radius": A * um,
+        "modulus": 0.7 * uN / um**2,
+        **film(um),
+    },
+    membrane.dimple_profile: lambda um, uN: {
+        "radius": np.array([20.0, 90.0, 200.0]) * um,
+        **geometry(um),
+    },
+    membrane.membrane_stress: lambda um, uN: {"force": 43.0 * uN, **dimple(um), **wall(um)},
+    membrane.mean_strain: lambda um, uN: {**geometry(um), "small_slopes": False},
+    membrane.steepest_depth: lambda um, uN: {
+        "rim_radius": A * um,
+        "probe_half_width": 17.0 * um,
+    },
+    membrane.modulus_uncertainty: lambda um, uN: {
+        "values": pressed(um, uN),
+        "uncertainties": errors(um, uN),
+        "dimple_covariance": np.array([[9.0, 0.8], [0.8, 0.2]]) * um**2,
+    },
+    membrane.modulus_samples: lambda um, uN: {
+        "values": pressed(um, uN),
+        "uncertainties": errors(um, uN),
+        "size": 7,
+        "rng": 3,
+    },
+    membrane.indent_disc: lambda um, uN: {
+        "force": 91.0 * uN,
+        "modulus": 0.7 * uN / um**2,
+        "rim_radius": A * um,
+        **wall(um),
+        **RUBBER,
+        "pressure": 2.1e-4 * uN / um**2,
+        "pretension": 0.03,
+    },
+    membrane.disc_modulus: lambda um, uN: {
+        "force": 91.0 * uN,
+        "rim_radius": A * um,
+        "depth": 50.0 * um,
+        **wall(um),
+        **STEEL,
+        "pressure": 3e-4 * uN / um**2,
+        "pretension": 0.0,
+    },
+    membrane.model_moduli: lambda um, uN: {
+        "force": 91.0 * uN,
+        "rim_radius": 190.0 * um,
+        "dimple_depth": 70.0 * um,
+        **film(um),
+        "capsule_radius": R * um,
+    },
+    membrane.indent_capsule: lambda um, uN: {
+        "force": 91.0 * uN,
+        "modulus": 0.7 * uN / um**2,
+        "capsule_radius": R * um,
+        **wall(um),
+        **RUBBER,
+        "inflation": 1.04,
+    },
+    membrane.capsule_modulus: lambda um, uN: {
+        "force": 91.0 * uN,
+        "rim_radius": 190.0 * um,
+        "depth": 70.0 * um,
+        "capsule_radius": R * um,
+        **wall(um),
+        **STEEL,
+    },
+}
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
+
+#: Other units of length and force, and that of a modulus in them.
+UM, UN = 1.7, 0.45
+MPA = UN / UM**2
+LENGTHS = dict.fromkeys(("depth", "approach", "rim_radius", "r", "z"), UM)
+STATE = LENGTHS | dict.fromkeys(("stresses", "pressure"), MPA)
+#: By what each result is multiplied.
+FACTORS = {
+    **dict.fromkeys(
+        (membrane.elastic_modulus, membrane.finite_slope_modulus, membrane.membrane_stress), MPA
+    ),
+    **dict.fromkeys((membrane.modulus_uncertainty, membrane.modulus_samples), MPA),
+    **dict.fromkeys((membrane.disc_modulus, membrane.model_moduli), MPA),
+    **dict.fromkeys((membrane.dimple_depth, membrane.dimple_profile, membrane.steepest_depth), UM),
+    membrane.indentation_force: UN,
+    membrane.mean_strain: 1.0,
+    **dict.fromkeys((membrane.indent_disc, membrane.indent_capsule), STATE),
+    membrane.capsule_modulus: {"modulus": MPA, "state": STATE},
 }
 
 
-def film(u) -> dict:
-    return {"thickness": H * u.um, "probe_half_width": C * u.um, "poisson_ratio": 0.31}
+def refused(numbers: list, *positive: str) -> dict:
+    """Return what a formula of lengths refuses; `numbers` is what is no number to it."""
+    names = ("rim_radius", "dimple_depth", "thickness", "probe_half_width", *positive)
+    film = {"poisson_ratio": [*numbers, -1, 0.6], "force": [*numbers, -1]}
+    return film | {name: [*numbers, 0, -1] for name in names}
 
 
-def dimple(u) -> dict:
-    return {"rim_radius": A * u.um, "dimple_depth": 19.0 * u.um}
+ARRAYS, NUMBERS = refused(BROKEN, "modulus"), refused(NO_NUMBER, "modulus", "capsule_radius")
+VALUES = pressed(1.0, 1.0)
+#: What is refused in place of each argument, beside `ARRAYS` or `NUMBERS`.
+REFUSED = {
+    membrane.elastic_modulus: {
+        "rim_radius": [*BROKEN, 0, -1, 10.0],
+        "probe_half_width": [*BROKEN, 0, -1, A],
+    },
+    membrane.finite_slope_modulus: {"probe_half_width": [*NOT_POSITIVE, 300.0]},
+    membrane.dimple_profile: {
+        "radius": lambda valid: [*not_finite(valid), np.zeros(3), -valid, [10.0]]
+    },
+    membrane.modulus_uncertainty: {
+        "values": [{"force": 1.0}, VALUES | {"force": np.nan}],
+        "uncertainties": [
+            Wrong({"mass": 1.0}, "mass"),
+            Wrong({"force": np.nan}, "force"),
+            Wrong({"dimple_depth": 1.0}, "dimple_covariance"),
+        ],
+        "dimple_covariance": lambda valid: [*no_map(valid), np.eye(3)],
+    },
+    membrane.modulus_samples: {
+        "size": NO_COUNT,
+        "rng": NEGATIVE,
+        "uncertainties": [Wrong({"poisson_ratio": 1e5}, "poisson_ratio")],
+    },
+    membrane.indent_disc: {
+        "law": NO_TEXT,
+        "force": [*NEGATIVE, 5e3],
+        "pressure": NEGATIVE,
+        "pretension": NEGATIVE,
+        "probe_half_width": [*NOT_POSITIVE, A],
+        "poisson_ratio": [*NEGATIVE, 0.4],
+    },
+    membrane.disc_modulus: {
+        "law": NO_TEXT,
+        "depth": NOT_POSITIVE,
+        "pressure": NEGATIVE,
+        "pretension": NEGATIVE,
+    },
+    membrane.indent_capsule: {
+        "law": NO_TEXT,
+        "inflation": [*NOT_POSITIVE, 0.9],
+        "probe_half_width": [*NOT_POSITIVE, R],
+    },
+    membrane.capsule_modulus: {
+        "law": NO_TEXT,
+        "rim_radius": [*NOT_POSITIVE, 10.0, R],
+        "depth": [*NOT_POSITIVE, 1300.0, 500.0, 0.01],
+    },
+}
+#: Formulas that work on arrays.
+ELEMENTWISE = [
+    membrane.elastic_modulus,
+    membrane.indentation_force,
+    membrane.dimple_depth,
+    membrane.membrane_stress,
+    membrane.mean_strain,
+]
 
 
-def wall(u) -> dict:
-    return {"thickness": H * u.um, "probe_half_width": C * u.um}
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, lambda: CALLS[function](1.0, 1.0), exact=("poisson_ratio",))
 
 
-def errors(u) -> dict:
-    return {
-        "values": {"force": 43.0 * u.uN, **dimple(u), **film(u)},
-        "uncertainties": {"force": 2.0 * u.uN, "thickness": 0.2 * u.um, "poisson_ratio": 0.02},
-        "dimple_covariance": np.array([[9.0, 0.8], [0.8, 0.2]]) * u.um**2,
-    }
+@each_call
+def test_results_follow_units_of_length_and_force(function):
+    found, plain = function(**CALLS[function](UM, UN)), function(**CALLS[function](1.0, 1.0))
+    factor = FACTORS[function]
+    known = factor if isinstance(factor, dict) else {"factor": factor}
+    hold_scaled(found, plain, within=1e-6, **known)  # large deflections are solved to 1e-6
 
 
-def geometry(u) -> dict:
-    return dimple(u) | {"probe_half_width": C * u.um}
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    given = CALLS[function](1.0, 1.0)
+    arrays = function in (*ELEMENTWISE, membrane.dimple_profile)
+    wrong = (ARRAYS if arrays else NUMBERS) | REFUSED.get(function, {})
+    hold_refused(function, given, {name: wrong[name] for name in given if name in wrong})
 
 
-EXPONENTS = dict.fromkeys(("rim_radius", "depth", "probe_half_width", "capsule_radius"), NUMBER)
-KINDS = ("disc, {}", "disc, {}, no pressure", "capsule, {}")
-NAMES = [kind.format(law) for law in ("neo-hooke", "hooke") for kind in KINDS]
-MODELS = dict.fromkeys(["point load", *NAMES], MPa)
-LAWS = {
-    "membrane.elastic_modulus": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
-        MPa),
-    "membrane.finite_slope_modulus": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **film(u)},
-        MPa),
-    "membrane.indentation_force": Row(lambda u: {"modulus": 0.7 * u.MPa, **dimple(u), **film(u)},
-        uN),
-    "membrane.dimple_depth": Row(lambda u: {"force": 43.0 * u.uN, "rim_radius": A * u.um,
-        "modulus": 0.7 * u.MPa, **film(u)}, um),
-    "membrane.dimple_profile": Row(lambda u: {"radius": np.array([20.0, 90.0, 200.0]) * u.um,
-        **geometry(u)}, um),
-    "membrane.membrane_stress": Row(lambda u: {"force": 43.0 * u.uN, **dimple(u), **wall(u)},
-        MPa),
-    "membrane.mean_strain": Row(lambda u: {**geometry(u), "small_slopes": False}, NUMBER),
-    "membrane.steepest_depth": Row(lambda u: {"rim_radius": A * u.um,
-        "probe_half_width": C * u.um}, um),
-    "membrane.modulus_uncertainty": Row(errors, MPa),
-    "membrane.modulus_samples": Row(lambda u: {"values": errors(u)["values"],
-        "uncertainties": errors(u)["uncertainties"], "size": 7, "rng": 3}, MPa),
-    "membrane.indent_disc": Row(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
-        "rim_radius": A * u.um, **wall(u), **RUBBER, "pressure": 3e-4 * u.MPa, "pretension": 0.03},
-        STATE, within=1e-6),
-    "membrane.disc_modulus": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": A * u.um,
-        "depth": 50.0 * u.um, **wall(u), **STEEL, "pressure": 3e-4 * u.MPa}, MPa, within=1e-6),
-    "membrane.model_moduli": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
-        "dimple_depth": 70.0 * u.um, **film(u), "capsule_radius": R * u.um}, MODELS, within=1e-6),
-    "membrane.indent_capsule": Row(lambda u: {"force": 91.0 * u.uN, "modulus": 0.7 * u.MPa,
-        "capsule_radius": R * u.um, **wall(u), **RUBBER, "inflation": 1.04}, STATE, within=1e-6),
-    "membrane.capsule_modulus": Row(lambda u: {"force": 91.0 * u.uN, "rim_radius": 190.0 * u.um,
-        "depth": 70.0 * u.um, "capsule_radius": R * u.um, **wall(u), **STEEL}, {"modulus": MPa,
-        "inflation": NUMBER, "exponents": EXPONENTS, "state": STATE}, within=1e-6),
-}  # fmt: skip
+@pytest.mark.parametrize("function", ELEMENTWISE, ids=lambda f: f.__name__)
+def test_scalars_give_a_scalar_and_arrays_an_array(function):
+    given = CALLS[function](1.0, 1.0)
+    one = function(**given)
+    assert isinstance(one, float)
+    radius = A * np.array([[1.0], [1.1], [1.2]])
+    several = function(**given | {"probe_half_width": [17.0, 30.0], "rim_radius": radius})
+    assert isinstance(several, np.ndarray)
+    assert several.shape == (3, 2)
+    assert several[0, 0] == pytest.approx(one, rel=1e-12)
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
-
-
-@pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 def test_models_differ_for_shallow_dimples_too():
     """A disc has its true stress; (5.2) a uniform one. The deep dimple is that of Table 5.6."""
     sizes = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
@@ -105,6 +265,5 @@ def test_models_differ_for_shallow_dimples_too():
     assert deep["point load"] == elastic_modulus(197.24, 246.95, 121.22, **sizes)
     assert deep["capsule, neo-hooke"] == pytest.approx(by_hand.modulus)
     # No capsule of this radius has the dimple, and a probe as wide as the dimple is an error.
-    assert set(model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=250.0)) == {
-        name for name in ("point load", *NAMES) if not name.startswith("capsule")
-    }
+    without = model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=250.0)
+    assert set(without) == {name for name in deep if not name.startswith("capsule")}

@@ -22,7 +22,7 @@ from tests.laws import (
     um,
     uN,
 )
-from tests.test_microscope import pose
+from tests.test_microscope import SCOPE
 
 SHAPE = (21, 34)
 TEXTURE = synthetic.mixed_texture((26, 33), 5)
@@ -53,7 +53,10 @@ def scope(u, **changes) -> Microscope:
     upright = dict.fromkeys(("alpha", "beta", "gamma"), 0.0)
     place = {"tx": -310.0 * u.um, "ty": -190.0 * u.um, "image_size": (110, 80)}
     place["principal_offset"] = (2.0, -1.5)
-    return pose(u, **upright | place | changes)
+    lengths = {n: getattr(SCOPE, n) * u.um for n in ("tube_length", "focal_length", "distance")}
+    place["pixel_pitch"] = (9.9 * u.um, 8.3 * u.um)
+    kappa = {"distortion": SCOPE.distortion / u.um**2, "distortion_k2": 3e-17 / u.um**4}
+    return replace(SCOPE, **lengths, **kappa, **upright | place | changes)
 
 
 def imaging(u) -> synthetic.ImagingConditions:
