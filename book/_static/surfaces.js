@@ -2,16 +2,16 @@
 addEventListener("DOMContentLoaded", () => {
   const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const LIGHT = [-0.57, 0.42, 0.71]; // from the upper left, towards the viewer
-  const TALL = 0.45; // the heights' span, of the longer side
   const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
   for (const script of document.querySelectorAll("script.surface")) {
-    const { rows, cols, pitch, low, high, unit, heightUnit, colors, ...texts } = JSON.parse(script.textContent);
+    const { rows, cols, pitch, low, high, unit, heightUnit, tall, note, colors, ...texts } = JSON.parse(script.textContent);
     const heights = new Uint16Array(bytes(texts.heights).buffer); // 0 is a hole
     const kinds = bytes(texts.kinds);
     const paints = colors.map((hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16)));
     const figure = script.closest("figure"), picture = figure.querySelector("img");
     const canvas = Object.assign(document.createElement("canvas"), { tabIndex: 0 });
+    canvas.style.aspectRatio = 1 / (0.66 + 0.35 * tall);
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `${picture.alt} The arrow keys turn it.`);
     figure.classList.add("surface");
@@ -26,14 +26,14 @@ addEventListener("DOMContentLoaded", () => {
 
     const draw = () => {
       const pen = canvas.getContext("2d"), width = canvas.clientWidth;
-      [canvas.width, canvas.height] = [1, 0.85].map((share) => share * width * devicePixelRatio);
+      [canvas.width, canvas.height] = [width, canvas.clientHeight].map((side) => side * devicePixelRatio);
       pen.scale(devicePixelRatio, devicePixelRatio);
       const [c, s, up, flat] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
       const size = width / 1.7;
       // Where a point is seen whose place is in pixels of the map and whose height is of its span.
       const place = (col, row, z) => {
         const x = (col - (cols - 1) / 2) / longest, y = ((rows - 1) / 2 - row) / longest;
-        return [width / 2 + size * (x * c - y * s), 0.4 * width - size * (flat * (x * s + y * c) + up * TALL * (z - 0.5))];
+        return [width / 2 + size * (x * c - y * s), (0.36 + 0.15 * tall) * width - size * (flat * (x * s + y * c) + up * tall * (z - 0.5))];
       };
       const points = Array.from(heights, (z, i) => place(i % cols, Math.floor(i / cols), (z - 1) / 65534));
       pen.strokeStyle = pen.fillStyle = getComputedStyle(canvas).color;
@@ -44,16 +44,24 @@ addEventListener("DOMContentLoaded", () => {
       [...ground, ground[0]].forEach((point) => pen.lineTo(...point));
       const left = ground.indexOf(ground.toSorted((one, other) => one[0] - other[0])[0]);
       const top = place(...corners[left], 1);
+      pen.stroke();
+      if (!Object.keys(texts.key).length) { // the axis of the heights is the bar of their colors
+        const bar = pen.createLinearGradient(...ground[left], ...top);
+        colors.forEach((color, k) => bar.addColorStop(k / (colors.length - 1), color));
+        [pen.strokeStyle, pen.lineWidth] = [bar, 10];
+      }
+      pen.beginPath();
       pen.moveTo(...ground[left]);
       pen.lineTo(...top);
       pen.stroke();
+      pen.lineWidth = 1;
       // From what is far to what is near.
       const inOrder = (count, forth) => Array.from({ length: count - 1 }, (_, k) => (forth ? k : count - 2 - k));
       for (const row of inOrder(rows, c > 0))
         for (const col of inOrder(cols, s < 0)) {
           const i = row * cols + col, face = [i, i + 1, i + cols + 1, i + cols];
           if (!face.every((k) => heights[k])) continue;
-          const steep = (TALL * longest) / 65534;
+          const steep = (tall * longest) / 65534;
           const east = steep * (heights[i + 1] - heights[i]), north = steep * (heights[i] - heights[i + cols]);
           const normal = [-(east * c - north * s), -(east * s + north * c), 1];
           // The light stands with the viewer.
@@ -82,8 +90,9 @@ addEventListener("DOMContentLoaded", () => {
       const long = (count) => `${Number((pitch * (count - 1)).toPrecision(4))} ${unit}`;
       write(`x: ${long(cols)}`, [alongX[0], alongX[1] + 22], side[0]);
       write(`y: ${long(rows)}`, [alongY[0], alongY[1] + 22], side[1]);
-      write(`height ${high} ${heightUnit}`, [top[0], top[1] - 6], "left");
+      write(`height ${high} ${heightUnit}`, [top[0], top[1] - 12], "left");
       write(`${low} ${heightUnit}`, [ground[left][0], ground[left][1] + 18], "left");
+      write(note, [8, canvas.clientHeight - 6], "left");
     };
     const move = (across, down) => {
       turn += across;

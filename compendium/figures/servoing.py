@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from compendium import thesis
-from compendium.figures.panels import SYMBOL, arrows, boxes, legend_below, letter, photograph
+from compendium.figures.panels import SYMBOL, arrows, boxes, letter, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
@@ -117,15 +117,17 @@ def draw_convergence(counts: pd.DataFrame, trials: int, speed: float) -> None:
     speed : float
         Speed that the thesis reports, px/s.
     """
-    figure, axes = plt.subplots(figsize=(6.4, 3.4))
+    _, axes = plt.subplots(figsize=(6.4, 3.6))
     for k, (grain, count) in enumerate(counts.items()):
         ends = np.array([binomtest(n, trials).proportion_ci() for n in count])
-        shares = 100 * count.to_numpy() / trials
-        bars = np.abs(100 * ends.T - shares)
-        look: dict[str, Any] = {"color": COLORS[("orange", "blue", "green")[k]], "lw": 1.5}
-        look |= {"fmt": "sov"[k] + "-", "capsize": 4, "label": f"grain {grain:g} px"}
-        axes.errorbar(counts.index + 0.12 * (k - 1), shares, bars, **look)
-    label = f"thesis: {speed:g} px/s"
-    axes.axvline(speed * thesis.FRAME_INTERVAL, color=COLORS["ink"], ls=":", label=label)
-    axes.set(xlabel="motion per frame (px)", ylabel="trials converged (%)", ylim=(-5, 105))
-    legend_below(figure, axes.get_legend_handles_labels()[0], ncols=2)
+        color, shares = COLORS[("orange", "blue", "green")[k]], count.to_numpy() / trials
+        low, high = 100 * ends.T
+        axes.fill_between(counts.index, low, high, color=color, alpha=0.2, lw=0)
+        axes.plot(counts.index, 100 * shares, "sov"[k] + "-", color=color, label=f"{grain:g} px")
+        axes.text(counts.index[-1] + 0.3, 100 * shares[-1], f"{grain:g} px", va="center")
+    at = speed * thesis.FRAME_INTERVAL
+    axes.axvline(at, color=COLORS["ink"], ls=":")
+    axes.text(at, 103, f"reported: {speed:g} px/s", ha="center", va="bottom")
+    axes.text(counts.index[-1] + 0.3, 103, "grain", va="bottom")
+    axes.set(xlabel="motion per frame (px)", ylabel="trials that converge (%)", ylim=(-3, 102))
+    axes.set_xlim(None, counts.index[-1] + 1.6)

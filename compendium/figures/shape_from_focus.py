@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -80,34 +80,46 @@ def draw_types(
     columns: int = 2,
     box: tuple[int, int, int, int] | None = None,
     ball: bool = False,
+    ridges: Sequence[float] = (),
 ) -> Figure:
-    """Draw figures 5.13 and 5.14: maps of surface types by title, under one legend.
+    """Draw figures 5.13 and 5.14: maps of surface types by title, with one legend.
 
     Parameters
     ----------
     labels : dict of str to ndarray
         Surface types by title.
     columns : int
-        Maps side by side.
+        Maps side by side. The legend takes a cell that is left over.
     box : tuple of int, optional
         Part (x, y, width, height) that is shown, px.
     ball : bool
         Show the ball's edge and half its radius.
+    ridges : sequence of float
+        Widths of the ridges, whose feet are marked by dotted lines, px.
     """
-    rows = -(-len(labels) // columns)
     x, y, width, height = box or (0, 0, *next(iter(labels.values())).shape[::-1])
-    # Inches: square pixels, a title and a label for each row, a legend below.
-    size = (6.4, 1.2 + rows * (0.4 + 5.6 / columns * height / width))
-    figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
-    for axes, (title, types) in zip(grid.flat, labels.items(), strict=True):
+    rows, free = -(-len(labels) // columns), -len(labels) % columns
+    # Inches: square pixels, a title and a label for each row, and a legend below.
+    size = (6.4, (not free) * 0.8 + 0.4 + rows * (0.4 + 5.6 / columns * height / width))
+    figure, _ = plt.subplots(rows, columns, figsize=size)
+    for k, (axes, (title, types)) in enumerate(zip(figure.axes, labels.items(), strict=False)):
         draw_labels(axes, types)
         axes.set(title=title, xlim=(x, x + width - 1), ylim=(y + height - 1, y))
-        axes.label_outer()
+        if k % columns:
+            axes.set(ylabel="", yticks=[])
+        if k + columns < len(labels):
+            axes.set(xlabel="", xticks=[])
         for share, line in ((1.0, "-"), (0.5, "--")) if ball else ():
             middle = ((BALL_SHAPE[1] - 1) / 2, (BALL_SHAPE[0] - 1) / 2)
             radius = share * BALL_RADIUS / BALL_PIXEL
             axes.add_patch(Circle(middle, radius, fill=False, color="black", ls=line))
-    letter(grid.flat)
-    part = [types[y : y + height, x : x + width] for types in labels.values()]
-    legend_below(figure, label_patches(np.stack(part)))
+        for side in (-0.5, 0.5) if ridges else ():
+            axes.axvline((types.shape[1] - 1) / 2 + side * ridges[k], color="black", ls=":")
+    letter(figure.axes[: len(labels)])
+    key = label_patches(np.stack([part[y : y + height, x : x + width] for part in labels.values()]))
+    if free:
+        figure.axes[-1].legend(handles=key, loc="center")
+        figure.axes[-1].axis("off")
+    else:
+        legend_below(figure, key)
     return figure
