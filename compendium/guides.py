@@ -241,14 +241,14 @@ def compare(
     truth = _truth(entry)
     if set(results) != set(truth):
         raise ValueError(f"found must have the names {sorted(truth)}, got {sorted(results)}")
-    table["truth"] = [np.nanmean(truth[name]) for name in results]
+    table["true value"] = [np.nanmean(truth[name]) for name in results]
     distances = (np.abs(value - truth[name]).ravel() for name, value in results.items())
-    table["off by"] = [pd.Series(distance).quantile(SHARE) for distance in distances]
+    table["error"] = [pd.Series(distance).quantile(SHARE) for distance in distances]
     table["allowed"] = [float(allowed[name]) for name in results]
     for name, row in table.iterrows():
-        if not row["off by"] <= row["allowed"]:  # NaN is no agreement
+        if not row["error"] <= row["allowed"]:  # NaN is no agreement
             raise AssertionError(
-                f"{file.name}: {name} is {row['off by']:.4g} off the truth, "
+                f"{file.name}: {name} is {row['error']:.4g} off the truth, "
                 f"at most {row['allowed']:.4g} is allowed"
             )
     return table

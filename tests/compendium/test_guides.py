@@ -16,7 +16,7 @@ ALLOWED = {"modulus_MPa": 0.05, "rim_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 @pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])
 def test_compare_accepts_truth_and_names_wrong_result(wrong):
-    assert (compare(EMBRYO, SETTINGS, TRUTH, ALLOWED)["off by"] == 0).all()
+    assert (compare(EMBRYO, SETTINGS, TRUTH, ALLOWED)["error"] == 0).all()
     with pytest.raises(AssertionError, match=r"embryo\.png: modulus_MPa is .* off the truth"):
         compare(EMBRYO, SETTINGS, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
 
@@ -38,11 +38,11 @@ def test_compare_checks_arrays_against_truth_file():
 def test_truth_and_scales_are_those_of_the_demo_alone(tmp_path, capsys):
     """With another force, and for another file of the same name, nothing is compared or filled."""
     wrong = dict.fromkeys(TRUTH, -1.0)
-    assert "truth" not in compare(EMBRYO, SETTINGS | {"force": 113.76}, wrong, ALLOWED)
+    assert "true value" not in compare(EMBRYO, SETTINGS | {"force": 113.76}, wrong, ALLOWED)
     assert "embryo.png hold for force = 113.75" in capsys.readouterr().out
     mine = tmp_path / "embryo.png"
     mine.write_bytes(Path(EMBRYO).read_bytes())
-    assert "truth" not in compare(mine, SETTINGS, wrong, ALLOWED)
+    assert "true value" not in compare(mine, SETTINGS, wrong, ALLOWED)
     assert resolve_scales(EMBRYO, dict.fromkeys(SETTINGS))[0] == SETTINGS
     asked = r"force, pixel_size, .* given for .*: -p force VALUE -p pixel_size"
     with pytest.raises(ValueError, match=asked):
