@@ -130,7 +130,7 @@ class Calibration(Result):
         if np.isfinite(self.held_out).any():
             median = np.nanmedian(self.held_out)
             lines.append(
-                f"  held-out views: {median:.3g} px rms (median), at most {np.nanmax(self.held_out):.3g}"
+                f"  held-out views: median {median:.3g} px rms, most {np.nanmax(self.held_out):.3g}"
             )
         if self.inconsistent:
             numbers = ", ".join(str(view + 1) for view in self.inconsistent)
