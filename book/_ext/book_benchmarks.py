@@ -130,18 +130,13 @@ class Benchmarks(SphinxDirective):
         record = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
         result = section(f"benchmark-{name}", name.replace("_", " ").capitalize())
         machine = record["machine"]
-        known = ("processor", "cores", "date", "commit")
-        versions = [f"{name} {version}" for name, version in machine.items() if name not in known]
-        result += line(
-            f"Measured on {machine['date']} at commit {machine['commit']}, on a machine with the "
-            f"processor {machine['processor']} and {machine['cores']} cores. The versions were "
-            f"{', '.join(versions)}. If the code has changed since then, a new run may give "
-            "different numbers."
-        )
+        run = table([*machine], [[str(value) for value in machine.values()]])
+        result += [raw_html("<details><summary>Date, machine and versions</summary>"), run]
+        result += raw_html("</details>")
         if record["note"]:
             self.state.nested_parse(StringList(record["note"].split("\n")), 0, result)
         if missed := [each[:3] for each in record["limits"] if each[3] == "no"]:
-            result += line("These limits do not hold; the page Benchmarks lists all limits.")
+            result += line("Limits that do not hold:")
             result += table(["quantity", "measured", "limit"], missed)
         for title, content in record["tables"].items():
             rows = [[show(value) for value in row] for row in content["data"]]

@@ -6,9 +6,11 @@
 - ``{number}`follows` ``, or another verdict, ``claims``, ``settings``, ``errata``, ``causes``,
   ``chosen`` or a class of errata: how many there are.
 - ``{ledger-table} section-3.1.2/ table-3.1/labels``: what the thesis reports of a section, as a
-  table of the claims whose ids begin with one of the words.
+  table of the claims whose ids are, or begin with, one of the words. With the option ``:short:``
+  it says where each claim stands, and gives the first sentence of what its verdict rests on.
 - ``{counts}``: a table of how many claims have which verdict, and for which reason.
-- ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims.
+- ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims;
+  with the option ``:whole:``, one bar for all parts.
 - ``{claims}``: the list of all claims and settings, which ``_static/filter.js`` narrows;
   ``{differences}``: the contradictions, by cause.
 - ``{errata}``: every fault of the thesis with its proof; ``{reaches}``: which results they change.
@@ -18,6 +20,7 @@ A number that no notebook recorded is replaced by the note that it was not compu
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -29,6 +32,7 @@ from book_map import find_items
 from book_tables import line, link, raw_html, script_json, section, span, table
 from book_test_sources import place_of_test
 from docutils import nodes
+from docutils.parsers.rst import directives
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
@@ -37,6 +41,13 @@ from compendium import MISSING, ROOT, ledger
 from compendium.tables import verdict_link
 
 CLAIMS = ROOT / "build" / "claims"
+#: The verdicts for a new reader.
+MEANINGS = {
+    ledger.Verdict.CONTRADICTS: "printed numbers prove it wrong",
+    ledger.Verdict.OPEN: "what was published does not decide it",
+    ledger.Verdict.POSSIBLE: "it holds under named assumptions",
+    ledger.Verdict.FOLLOWS: "other printed numbers give it",
+}
 
 
 @cache
@@ -142,24 +153,27 @@ class Role(SphinxRole):
 
 
 class VerdictMap(SphinxDirective):
-    """A bar for each part of the thesis; each piece leads to the claims that it counts."""
+    """A bar for each part of the thesis, or for all; each piece leads to the claims it counts."""
+
+    option_spec: ClassVar = {"whole": directives.flag}
 
     def run(self) -> list[nodes.Node]:
-        claims = [
-            facets(claim) | {"part": ledger.part_of(claim)} for claim in ledger.claims().values()
-        ]
-        counts = Counter((one["part"], one["verdict"]) for one in claims)
-        totals = Counter(one["part"] for one in claims)
+        whole, claims = "whole" in self.options, ledger.claims().values()
+        names = ["" if whole else ledger.part_of(claim) for claim in claims]
+        counts = Counter(zip(names, (claim.label for claim in claims), strict=True))
+        totals = Counter(names)
         parts = []
         for part, total in totals.items():
             pieces = []
             for verdict in ledger.Verdict:
                 if count := counts[part, verdict.word]:
-                    query = urlencode({"verdict": verdict.word, "part": part.split()[0]})
-                    pieces.append({"verdict": verdict.word, "count": count, "query": query})
+                    query = {"verdict": verdict.word} | ({} if whole else {"part": part.split()[0]})
+                    piece = {"verdict": verdict.word, "count": count, "query": urlencode(query)}
+                    pieces.append(piece)
             parts.append((part, pieces, max(totals.values()) - total))
         page = self.env.app.builder.get_relative_uri(self.env.docname, "claims")
-        context = {"parts": parts, "order": [v.word for v in ledger.Verdict], "page": page}
+        order = {v.word: MEANINGS[v] if whole else "" for v in ledger.Verdict}
+        context = {"parts": parts, "order": order, "page": page}
         return [raw_html(self.env.app.builder.templates.render("verdict_map.html", context))]
 
 
@@ -171,7 +185,7 @@ class Claims(SphinxDirective):
         head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
         rows = [self.row(claim) for claim in chosen]
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
-        result["classes"].append("claims")
+        result["classes"] += ["claims", "cards"]
         data = {nodes.make_id(f"claim-{claim.id}"): facets(claim) for claim in chosen}
         script = f'<script type="application/json" id="claims-facets">{script_json(data)}</script>'
         return [raw_html(script), result]
@@ -211,11 +225,14 @@ class LedgerTable(SphinxDirective):
 
     required_arguments = 1
     final_argument_whitespace = True
+    option_spec: ClassVar = {"short": directives.flag}
 
     def run(self) -> list[nodes.Node]:
         rows = []
         for prefix in self.arguments[0].split():
-            found = [claim for name, claim in ledger.claims().items() if name.startswith(prefix)]
+            claims = ledger.claims()
+            whole = [claims[prefix]] if prefix in claims else []
+            found = whole or [claim for name, claim in claims.items() if name.startswith(prefix)]
             if not found:
                 raise self.error(f"no claim has an id that begins with {prefix}")
             rows += [self.row(claim) for claim in found]
@@ -223,17 +240,22 @@ class LedgerTable(SphinxDirective):
         if all(row[1].astext() == "–" for row in rows):  # only sentences
             head, *rows = ([first, *others] for first, _, *others in (head, *rows))
         result = table(head, rows)
-        result["classes"].append("ledger")
+        result["classes"] += ["ledger", "cards"]
         return [result]
 
     def row(self, claim: ledger.Claim) -> list[nodes.Node | list[nodes.Node]]:
-        told = [line(f"{claim.what}.")]
+        short = "short" in self.options
+        place = f" ({claim.where})" if short else ""
+        told = [line(f"{claim.what}{place}.")]
         if claim.says and not claim.printed:  # a sentence, and the number that we compute for it
-            told = [line(_sentence(claim.says))]
+            told = [line(_sentence(claim.says + place))]
             told += [line(f"Recomputed: {claim.what}.")] if claim.compared else []
         number = span(printed(claim) if claim.printed else "–", "printed")
         found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
-        return [told, number, found, claim_link(self.env, claim), grounds(claim)]
+        rests = grounds(claim)
+        if short:
+            rests = [line(re.split(r"(?<=\.) (?=[A-Z])", rests[0].astext())[0])]
+        return [told, number, found, claim_link(self.env, claim), rests]
 
 
 def grounds(claim: ledger.Entry) -> list[nodes.Node]:

@@ -16,6 +16,7 @@ addEventListener("DOMContentLoaded", () => {
     canvas.setAttribute("aria-label", `${picture.alt} The arrow keys turn it.`);
     figure.classList.add("surface");
     figure.prepend(canvas);
+    figure.querySelector(".caption-text")?.append(" Drag the surface or use the arrow keys to turn it.");
     for (const [name, color] of Object.entries(texts.key).reverse()) {
       const entry = Object.assign(document.createElement("span"), { className: "surface-key", textContent: name });
       entry.style.setProperty("--color", color);

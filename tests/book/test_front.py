@@ -1,4 +1,4 @@
-"""The figure of the front page: its numbers, its use by keyboard on a phone, without scripts."""
+"""The front page: its first screen, and its figure by keyboard, on a phone and without scripts."""
 
 import json
 import re
@@ -18,6 +18,20 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def modulus(text: str) -> float:
     return float(text.removeprefix("E = ").split()[0])
+
+
+def test_first_screen_shows_verdicts_ways_on_and_finding(page: Page, html: Path) -> None:
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 800})
+        open_page(page, html / "intro.html")
+        for part in (".bar a", ".front-buttons > *", ".finding", ".front-figure svg"):
+            boxes = [one.bounding_box() for one in page.locator(f"article {part}").all()]
+            assert boxes and all(box["y"] + box["height"] <= 800 for box in boxes), (part, width)
+    counts = page.locator("article .bar a").all_inner_texts()
+    assert sum(map(int, counts)) == len(ledger.claims())
+    page.get_by_role("button", name="Check a number").click()
+    page.wait_for_selector("ul.search li a")
+    assert page.locator("ul.search li a").first.inner_text().startswith("Elastic modulus")
 
 
 def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -> None:

@@ -2,12 +2,13 @@
 
 import json
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
 from book_exercises import read_exercises
 from book_verdicts import count_by_class, grounds, number_of
+from bs4 import BeautifulSoup
 from docutils import nodes
 from playwright.sync_api import Browser, Page
 
@@ -19,7 +20,7 @@ CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
 # What a new reader wants from the front page on: what is clicked or searched for, and then seen.
 TASKS = {
-    "what was found": ("does not apply to this dimple",),
+    "what was found": ("does not apply to so deep a dimple",),
     "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "this window contains a round number"),
     "which erratum": ("?q=203610", "ul.search li a",
                       "#claim-table-5-1-square-4x-t-z a:text('erratum')", "Right:"),
@@ -65,6 +66,21 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
         assert count_by_class(verdict).total() == number_of(verdict.word) == number, verdict
 
 
+def test_no_sentence_stands_on_two_pages(html: Path) -> None:
+    """Each thing is told once; tables, which come from the ledger, may repeat it."""
+    pages = defaultdict(set)
+    for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
+        soup = BeautifulSoup(path.read_text("utf-8"), "html.parser")
+        for one in soup.select("table, .headerlink, .erratum-sources"):
+            one.decompose()
+        for block in soup.select("article :is(p, figcaption)"):
+            for sentence in re.split(r"(?<=[.:?!]) (?=[A-Z])", " ".join(block.text.split())):
+                if len(sentence.split()) >= 6 and sentence.endswith((".", ":", "?", "!")):
+                    pages[sentence].add(path.stem)
+    assert len(pages) > 1000
+    assert {sentence: names for sentence, names in pages.items() if len(names) > 1} == {}
+
+
 def test_every_verdict_names_what_it_rests_on() -> None:
     """A contradiction has its proof first; what is possible has its assumptions."""
     for claim in CLAIMS:
@@ -87,7 +103,7 @@ def test_page_of_exercises_links_all_of_them(html: Path) -> None:
 
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 360, "height": 780})
-    open_page(page, html / "intro.html")
+    open_page(page, html / "summary.html")
     page.locator("article a[href$='#number-5-6-e-edge-depth']").first.click()
     page.wait_for_function("window.formulasFit")
     cell = page.locator(".cell:has(#number-5-6-e-edge-depth)")
