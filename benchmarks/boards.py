@@ -311,7 +311,7 @@ the last table adds one fault to a calibration.
 - Of 40 intervals at 95 %, 36 to 40 should contain the true value. Of 20 intervals, 17 to 20
   should.
 - Brown's model of the lens already differs a little from the model of one view, so a fit may
-  report a misfit.
+  report poor agreement.
 - The chessboards are tilted, blurred by up to 2.4 px and partly cut off. A lattice is wrong if its
   spacings are not those of the corners, for example if every second row is skipped. OpenCV needs 3
   × 3 corners.

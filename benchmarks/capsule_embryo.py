@@ -228,8 +228,8 @@ size and the width of the probe. One seed gives the same egg for all four probes
 intervals are known to about 5 %. The method was developed on images of other seeds.
 
 The renderer and the fit use different formulas: the dimple of a capsule does not follow (4.2). The
-bias of the fitted depth is therefore that of the model, and a dimple that departs from (4.2) too
-far is refused. The interval over the models, which include
+bias of the fitted depth is therefore that of the model, and a dimple that deviates from (4.2) too
+far is rejected. The interval over the models, which include
 a capsule where both ends of the outline are steep, is compared with the true modulus.
 """
 
