@@ -152,15 +152,15 @@ def surface_curvature(
     Parameters
     ----------
     height : array_like, shape (rows, cols)
-        Heights towards the viewer, µm. NaN where the height is unknown.
+        Height map, µm, positive towards the viewer. Unknown heights are NaN.
     pixel_size : float or tuple of float
         Distance of neighboring pixels on the object, µm; (x, y) if pixels are not square.
     size : int
         Side of the windows, px, odd, at least 3. Smoothing and differentiation together span 2
         `size` − 1 pixels on a side.
     noise : float, optional
-        Standard deviation of the height errors, µm. The errors are assumed to be independent from
-        pixel to pixel. Without `noise` the uncertainties are NaN. If the rounding error of the
+        Standard deviation of the height errors, µm, assumed to be independent from pixel to pixel
+        (see Notes). Without `noise` the uncertainties are NaN. If the rounding error of the
         floating-point type of `height` is larger than `noise`, the rounding error is used.
 
     Returns
@@ -174,8 +174,8 @@ def surface_curvature(
     ------
     ValueError
         If the map is smaller than 2 `size` − 1 pixels on a side or contains an infinity. If
-        `pixel_size` is not positive, `noise` is negative, or `size` is not an odd whole number of
-        at least 3.
+        `pixel_size` is not positive, or `noise` is negative. If `size` is not an odd whole number
+        of at least 3.
 
     Warns
     -----
@@ -185,18 +185,20 @@ def surface_curvature(
 
     Notes
     -----
-    With `size` = 7 the windows are (3.15)–(3.19), with the divisor of (3.19) corrected to 42. The
-    windows of another size follow from the same rules. The windows are applied to the heights as in
-    (3.20)–(3.21). The first derivatives are divided by the pixel size, and the second derivatives
-    are divided by its square. H and K follow from (3.22)–(3.23). The thesis omits the pixel size,
-    which determines the units of H and K and of their thresholds.
+    With `size` = 7 the windows are (3.15)–(3.19), with the divisor of (3.19) corrected to 42. Other
+    sizes use binomial and least-squares windows of that length. The windows are applied to the
+    heights as in (3.20)–(3.21). The first derivatives are divided by the pixel size, and the second
+    derivatives are divided by its square. H and K follow from (3.22)–(3.23). The thesis omits the
+    pixel size, which determines the units of H and K and of their thresholds.
 
-    The uncertainties assume independent errors of the heights. That of a second derivative is
-    `noise` times the root of the sum of the squared window coefficients, divided by the square of
-    the pixel size. The uncertainty of H is computed to first order in the errors of the second
-    derivatives, and the uncertainty of K to second order. The second order is needed because the
-    terms of first order vanish on a plane. Errors of the first derivatives are neglected, because
-    their effect is smaller by the ratio of the window size to the radius of curvature.
+    The uncertainties assume that the errors of neighboring heights are independent. Heights of
+    `depth_from_focus` are smoothed over about 7 px, so the uncertainties are approximate for them.
+    The uncertainty of a second derivative is `noise` times the root of the sum of the squared
+    window coefficients, divided by the square of the pixel size. The uncertainty of H is computed
+    to first order in the errors of the second derivatives, and the uncertainty of K to second
+    order, because the terms of first order vanish on a plane. Errors of the first derivatives are
+    neglected, because their effect is smaller by the ratio of the window size to the radius of
+    curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

@@ -131,7 +131,7 @@ def _radial_at(wanted: Array, coefficients: tuple[float, float]) -> tuple[Array,
 
 
 def undistort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) -> Array:
-    """Take radial distortion off sensor points: u' = u (1 + κ r² + κ₂ r⁴), r = ‖u‖ (2.10).
+    """Remove radial distortion from sensor points: u' = u (1 + κ r² + κ₂ r⁴), r = ‖u‖ (2.10).
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def undistort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) 
 
 
 def distort(points: ArrayLike, distortion: float, distortion_k2: float = 0.0) -> Array:
-    """Put radial distortion on sensor points: the inverse of (2.10).
+    """Apply radial distortion to sensor points: the inverse of (2.10).
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def project_points(
 
 @dataclass(frozen=True)
 class Microscope(FlatResult):
-    """An optical microscope with its camera, looking at a pattern plane (2.5–2.12).
+    """Model of a microscope with a camera that views a pattern plane (2.5–2.12).
 
     Parameters
     ----------

@@ -287,7 +287,7 @@ class BlurLadder:
 
 
 def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
-    """Blur an image as an out-of-focus lens does, by a different amount at every pixel if need be.
+    """Blur an image as an out-of-focus lens does; the blur may differ from pixel to pixel.
 
     Parameters
     ----------

@@ -89,9 +89,11 @@ def calibrate(
     image_size : (int, int), optional
         Width and height of the image, px. Required for points; a detection contains the size.
 
-    Returns
+        Returns
     -------
     Calibration
+        The `parameters` with their uncertainties, angles in radians, the `microscope`, and tests
+        of the fit.
 
     Raises
     ------
@@ -103,51 +105,55 @@ def calibrate(
     Notes
     -----
     *Focal length.* The model has three lengths, as in chapter 2: the tube length T_op, the focal
-    length f, and the distance d of the object plane from the focal point. The image of a plane
-    determines only two combinations of these lengths, T_op + f and f + d. Without the perspective
-    of a tilted pattern, the image determines only the ratio of the two combinations, which is the
-    magnification. The thesis therefore starts from the f of the manufacturer. The plane is in
-    focus, so the thesis computes d = f²/T_op (2.20). This function assumes (2.20) as well. A given
-    `focal_length` is kept fixed. Without `focal_length`, f is estimated, with an uncertainty that
-    increases as the tilt decreases. If the estimate of 1/(T_op + f) is less than four of its
-    standard deviations above zero, the attribute `undetermined` of the result lists f and the
-    angles of the tilt.
+    length f, and the distance d of the object plane from the focal point. The image of a tilted
+    plane determines two combinations of these lengths, T_op + f and f + d. Without visible
+    perspective, the image determines only the magnification M = (T_op + f)/(f + d). The thesis
+    therefore starts from the f of the manufacturer. This function assumes, like the thesis, that
+    the plane is in focus, d = f²/T_op (2.20). A given `focal_length` is kept fixed. Without
+    `focal_length`, f is estimated, with an uncertainty that increases as the tilt decreases. If the
+    perspective is not significant, that is, if 1/(T_op + f) is less than four of its standard
+    deviations above zero, the attribute `undetermined` lists f and the angles of the tilt.
 
     *Without the pixel pitch* an image determines neither the magnification M nor the focal length.
-    It determines M over the pixel pitch, which is the scale in px/µm, and the principal distance
-    T_op + f in px, which OpenCV calls the focal length. These parameters are named "px_per_um" and
-    "principal_distance"; they replace "magnification" and "focal_length". κ is in 1/px² then, and
-    κ₂ in 1/px⁴.
+    It determines M divided by the pixel pitch, which is the scale in px/µm, and the principal
+    distance T_op + f in px, which OpenCV calls the focal length. These parameters are named
+    "px_per_um" and "principal_distance"; they replace "magnification" and "focal_length". κ is in
+    1/px² then, and κ₂ in 1/px⁴.
 
-    *Uncertainty.* The covariance includes the image noise. It also includes the correlation of the
-    errors of points that belong to one mark, such as the corners of a square. With several views it
-    also includes the errors of single printed marks, which are the same in all views. If a
-    lack-of-fit test of the residuals has a p-value below 0.1, the covariance also includes the
-    model discrepancy, which is the smooth part of the residuals that the noise does not explain.
-    An error of `pitch` is not included: if `pitch` is 1 % too large, M is 1 % too small, and an
-    estimated f is M/(1 + M) % too large.
+    *Uncertainty.* The covariance accounts for
+
+    - the noise of the image, which is correlated between points of one mark, such as the corners
+      of a square;
+    - with several views, the errors of single printed marks, which are the same in all views;
+    - the smooth part of the residuals that the noise does not explain, if a test finds such a lack
+      of fit (p < 0.1).
+
+    It does not account for an error of `pitch`: if `pitch` is 1 % too large, M is 1 % too small,
+    and an estimated f is M/(1 + M) % too large.
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
-    these parameters end in the number of the view. In focus T_op + f is equal to f (1 + M), so an
-    estimated f differs between views of different magnification. The result contains the f of the
-    first view.
+    these parameters end in the number of the view. Because the shared length T_op + f is equal to
+    f (1 + M), an estimated f differs between views of different M. The result contains the f of
+    the first view.
 
-    With several views, three additions to the model with one distortion coefficient κ are tested: a
-    second coefficient κ₂, see :func:`microlib.microscope.undistort`, the principal point, and the
-    aspect ratio of the pixels. An addition is kept if it lowers the Bayesian information criterion.
-    The names of the additional parameters are "distortion_k2" (1/µm⁴), "principal_x" and
-    "principal_y" (px from the middle of the image), and "pixel_aspect". The latter is the height of
-    a pixel over its width, both relative to `pixel_pitch`, and is kept if it differs from 1 by more
-    than 0.003. The principal point of a single view is the middle of the image, as in the thesis.
+    With several views, three more parameters are tried. Each is kept if it lowers the Bayesian
+    information criterion:
 
-    *Prints that are not square*, as many printers make them, are named by `print_aspect` of the
-    result if this explains half of the squares of the residuals of several views that are not
-    adequate. They are then to be measured along both directions, for `pitch`.
+    - "distortion_k2" (1/µm⁴), a second coefficient of distortion, see
+      :func:`microlib.microscope.undistort`;
+    - "principal_x" and "principal_y", the principal point in px from the middle of the image, which
+      is the principal point of a single view, as in the thesis;
+    - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. It
+      is kept only if it differs from 1 by more than 0.003.
+
+    *A print that is not square*, as many printers make it, is reported by `print_aspect`, if this
+    explains at least half of the squared residuals of several views. Measure the print along both
+    directions, and give both numbers as `pitch`.
 
     *Inconsistent views*, such as a grating in the background or a mirrored print, are listed by
-    `inconsistent` of the result. If no fit is possible, the error names them. These views have
-    another lens than the largest set of views with a common lens. They are to be left out.
+    `inconsistent`, or by the error if no fit is possible. They do not fit the lens of the largest
+    set of views that agree. Leave them out.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

@@ -125,10 +125,15 @@ def modulus_from_image(
     poisson_ratio: float,
     direction: str = "auto",
 ) -> ImageEstimate:
-    """Measure the elastic modulus of a chorion in one image of its indentation.
+    """Compute the elastic modulus of an egg shell (chorion) from one image of its dimple.
 
     The function fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus by
     (5.2).
+
+    The interval of this modulus covers only the errors of the outline. It covers neither those of
+    the force, the thickness and the width of the probe, nor the choice of the model, which is often
+    the largest uncertainty: (5.2) assumes a uniform stress and small slopes. Use `model_interval`
+    of the result unless you know that (5.2) describes your dimple.
 
     Parameters
     ----------
@@ -159,8 +164,8 @@ def modulus_from_image(
     Warns
     -----
     SmallSlopeWarning
-        If the depth of the dimple exceeds a tenth of its radius: (4.2) and (5.2) assume small
-        slopes.
+        If the depth of the dimple exceeds a tenth of its radius, because (4.2) and (5.2) assume
+        small slopes. See `model_moduli` of the result for models without this assumption.
     UserWarning
         If the modulus is below 10⁻⁵ MPa or above 2·10⁵ MPa, which wrong units can cause.
 

@@ -87,7 +87,7 @@ def _median_of_known(z: Array, n: int) -> Array:
 
 
 def smooth_depth(depth: ArrayLike, *, jump: float, sigma: float = 7.0) -> Array:
-    """Smooth a depth map by planes fitted around every pixel, on its own side of a step.
+    """Smooth a depth map by planes fitted around every pixel, but not across jumps in height.
 
     Parameters
     ----------

@@ -61,14 +61,14 @@ def depth_from_focus(
         sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
         same shape, such as ``functools.partial(sum_modified_laplacian, threshold=7)``.
     window : int, optional
-        Side of the square over which the measure is summed, px, odd; by default 5. Not accepted
-        with "multiscale", which chooses its windows itself, and not with a callable.
+        Side of the square over which the measure "sml" is summed, px, odd; by default 5. Other
+        measures do not accept it.
     workers : int
         Number of threads. The result does not depend on this number.
     register : bool or "auto"
         Whether to correct shift, rotation, scale and brightness that change from frame to frame.
-        The result is aligned with the middle frame. A pixel has no depth if an
-        aligned frame near the best focus of the pixel does not cover the pixel. With "auto" the
+        The result is aligned with the middle frame. A pixel that the aligned
+        frames near its best focus do not cover has no depth. With "auto" the
         frames are registered if they are found to move, and only their brightness is corrected if
         that alone changes. Motion of less than a thousandth of the shorter side of the image from
         one frame to the next is not detected, because changes of the blur look alike.
@@ -89,54 +89,52 @@ def depth_from_focus(
     Raises
     ------
     ValueError
-        If there are fewer than three frames. If frames differ in size or type, are not images,
-        differ in time or channel instead of focus, or have values that are not finite or exceed
-        ±10¹⁰. If the number of positions differs from that of the frames, or if positions are not
-        finite, not strictly monotonic, or not known. If a file cannot be read. If an option is out
-        of range or does not apply to this measure. With `register`, if fewer than half of
-        the frames show the same scene.
+        If there are fewer than three frames, or a file cannot be read. If frames differ in size or
+        type, are no images, or differ in time or channel instead of focus. If a value is not finite
+        or exceeds ±10¹⁰. If the positions are not known, not finite, not strictly monotonic, or not
+        as many as the frames. If an option is out of range or does not apply to the measure. With
+        `register`, if fewer than half of the frames show the same scene.
 
     Warns
     -----
     UserWarning
-        If `register` leaves out frames that show another scene; if frames are left out that are
-        uniform, repeated or of another brightness than those around them; if the brightness or the
-        position or scale of the image changes from frame to frame and `register` is not True; if
-        frames have black margins.
+        If frames are skipped because they are uniform, repeated, unusually bright or dark, or show
+        another scene. If the brightness, the position or the scale of the image changes from frame
+        to frame and `register` is not True. If frames have black margins.
 
     Notes
     -----
     "multiscale" assumes that the object has texture, and that the focus measure of a pixel is
     nearly a Gaussian function of the distance of the pixel from focus. The second assumption
-    follows from (3.9) if the blur is proportional to this distance. The page *How the library is
-    built* lists the stages of "multiscale" and their settings. Except at steps of the surface, the
-    depth is smoothed by planes whose weights are a Gaussian of σ = 7 px. A depth is NaN where noise
-    alone can cause the peak, where different focus measures contradict each other, and in small
-    isolated regions.
+    follows from (3.9) if the blur is proportional to this distance. Chapter 3 of the book explains
+    the stages of "multiscale". Except at steps of the surface, the depth is smoothed by planes
+    whose weights are a Gaussian of σ = 7 px, so the errors of neighboring pixels are correlated. A
+    depth is NaN where a peak cannot be distinguished from noise, where different focus measures
+    contradict each other, and in small isolated regions.
 
     With any other measure, the peak follows from three frames by (3.13). A depth is then NaN where
-    there is no peak or where noise alone can cause the peak. The depth of the result can be passed
-    to `correct_spikes` and `smooth_depth`.
+    there is no peak or where the peak cannot be distinguished from noise. The depth of the result
+    can be passed to `correct_spikes` and `smooth_depth`.
 
     The uncertainty accounts for the random error, and for the bias that arises where the shape of a
     peak deviates from a Gaussian. If a focus ring moves the lens instead of the object, this bias
-    is up to 0.6 frame spacings, nearly the same for all pixels. At a step, the uncertainty also
-    accounts for the possibility that the pixel lies on the other side. If a peak may be noise but
-    the pixel keeps its depth, the stated uncertainty is that of a uniform distribution over the
-    scan.
+    was 0.6 frame spacings in a test, nearly the same for all pixels. At a step, the uncertainty
+    also accounts for the possibility that the pixel lies on the other side. Where a peak is only
+    slightly clearer than noise, the pixel keeps its depth, and its uncertainty grows towards that
+    of a random depth between the first and the last frame, their distance divided by √12. On a
+    photographed board the stated uncertainty was several times larger than the error.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 
-    - Surfaces without texture. In tests with smoothed, quantized and JPEG frames, the mean share of
-      such pixels was at most 2 %. In JPEG frames that were resized, the share was up to 14 %.
-    - Objects that are narrow in the image. On bars, the share of such pixels was 10 % at a width of
-      3 px, 3 to 5 % at 4 px, and less than 1 % at 5 px or more.
+    - Surfaces without texture. In tests with smoothed, quantized and JPEG frames, at most 2 % of
+      the pixels without texture had such a depth on average, in resized JPEG frames up to 14 %.
+    - Objects that are narrow in the image. In tests with bars, the share of such pixels was 10 % at
+      a width of 3 px, 3 to 5 % at 4 px, and less than 1 % at 5 px or more.
 
     If the sharpest frame of a pixel is the first or the last frame, the pixel is flagged in
-    `at_end`. Its depth is the position of that frame, or the peak that "multiscale" fits. If the
-    depth is less than half a frame spacing from an end, also inside the scan, the standard
-    deviation of a uniform distribution over the scan is added to the uncertainty in quadrature. If
-    several frames have the same maximum, the first of these frames is the sharpest frame.
+    `at_end`. Its depth is the position of that frame, or the peak that "multiscale" fits. If this
+    depth is less than half a frame spacing from the first or the last position, the true depth may
+    lie outside, and the uncertainty of a random depth is added in quadrature.
 
     References
     ----------

@@ -17,7 +17,7 @@ from microlib.io import Stack
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FocusResult(FlatResult):
-    """Shape from focus, one value for every pixel.
+    """Result of `depth_from_focus`: depth, uncertainty and more for every pixel.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ from microlib.focus.common import (
 
 
 def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
-    """Return the depth at the vertex of the Gaussian through the best frame and its two neighbors.
+    """Return the depth at the peak of the Gaussian through the best frame and its two neighbors.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ Choice = dict[str, Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stack(Result, Iterable[Image]):
-    """Frames in their order, and what is known about them; iteration gives the frames.
+    """Frames in their order, with their metadata; iteration yields the frames.
 
     Attributes
     ----------

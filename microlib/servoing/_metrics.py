@@ -12,7 +12,7 @@ from microlib._common import FlatResult, as_array, as_scalar, check_same_length
 
 @dataclass(frozen=True)
 class StepMetrics(FlatResult):
-    """How a step was answered; NaN throughout, except the overshoot, if it never settled.
+    """Settling time, accuracy, precision and overshoot of a step; NaN if it never settled.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class StepMetrics(FlatResult):
 
 @dataclass(frozen=True)
 class PathMetrics(FlatResult):
-    """How a path was followed, in the unit of the positions.
+    """Errors along a path, in the unit of the positions.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class PathMetrics(FlatResult):
 def step_metrics(
     time: ArrayLike, position: ArrayLike, target: ArrayLike, *, band: float = 0.05
 ) -> StepMetrics:
-    """Measure the answer to a step from the first position to `target`.
+    """Measure the response to a step from the first position to `target`.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from microlib._common import Array, as_array
 
 
 class MicroManager:
-    """The devices of a Micro-Manager core, under the calls that `servo` makes.
+    """Camera and stage of a Micro-Manager core, with the interface that `servo` needs.
 
     Parameters
     ----------

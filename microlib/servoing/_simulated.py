@@ -18,7 +18,7 @@ Render = Callable[[Array], ArrayLike]
 
 
 class SimulatedWorkstation:
-    """A camera over a stage, in a time that passes only when it is waited for.
+    """Simulated camera and stage with simulated time, with the interface that `servo` needs.
 
     `simulate` contains the loop. This class contains only the devices; `servo` is the loop. The
     devices have the calls of a real microscope. The stage starts at zero.

@@ -59,7 +59,7 @@ class StageModel:
 
 @dataclass(frozen=True)
 class CameraTiming:
-    """Times of a simulated camera's frames, and how much the image shakes.
+    """Frame times and image noise of a simulated camera.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class CameraTiming:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(FlatResult):
-    """Result of `simulate`, one row a frame; an axis of length N comes first for N runs.
+    """Result of `simulate`, one row per frame; an axis of length N comes first for N runs.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def simulate(
     start: ArrayLike | None = None,
     observer: Observer | None = None,
 ) -> Simulation:
-    """Close the loop of figure 2.3: exposure, measurement, control law, stage, and again.
+    """Simulate the control loop of figure 2.3 frame by frame.
 
     Parameters
     ----------

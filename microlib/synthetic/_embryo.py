@@ -77,7 +77,7 @@ _REACH = 8.0
 
 @dataclass(frozen=True)
 class Embryo(Result):
-    """An embryo pressed by a probe from above and held from below.
+    """Shape of a rendered embryo that a probe presses from above.
 
     Attributes
     ----------

@@ -166,7 +166,7 @@ def track_all(
 
 
 def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
-    """Draw a track by Matplotlib: its path over a frame, and its position against time.
+    """Plot a track with Matplotlib: its path over a frame, and its position against time.
 
     Parameters
     ----------

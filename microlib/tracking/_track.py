@@ -13,7 +13,7 @@ from microlib._common import Array, FlatResult, flat_row
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Track(FlatResult):
-    """Where the template is in one frame.
+    """Position of the template in one frame, with its covariance.
 
     Attributes
     ----------

@@ -35,31 +35,32 @@ from microlib.tracking.robust import (
 class ESMTracker:
     """Track a template through frames by efficient second-order minimization.
 
-    ESM [1]_ [2]_ aligns the template with each frame, starting from the expected pose. The grey
-    levels of blocks of the template are then compared with the frame. If too many blocks differ
-    from the frame by more than the noise, a photometric model continues the alignment. The model
-    accounts for smoothly varying light, for blur and for a tone curve. Its fit reduces the
-    influence of outliers by Tukey's weights [3]_. If this fit is not accepted, further attempts
-    start from other poses. Chapter 2 of the book explains the attempts.
+    Efficient second-order minimization (ESM) [1]_ [2]_ aligns the template with each frame,
+    starting from the expected pose. The template is then divided into blocks, which are compared
+    with the frame. If too many blocks differ by more than the noise, the alignment is repeated with
+    a model of varying light, blur and tone, which reduces the influence of hidden parts by Tukey's
+    weights [3]_. If this result is not accepted, further attempts start from other poses. Chapter 2
+    of the book explains the attempts.
 
     The first result whose estimated probability of being right is at least 0.7 is accepted. If
-    there is no such result, the template is lost. In the following frames, a lost template is
-    searched for in the whole frame. With a Kalman filter, it is searched for near the predicted
+    there is no such result, the template is reported as lost. In the following frames, a lost
+    template is searched for in the whole frame, or, with a Kalman filter, near the predicted
     position.
 
-    An object that resembles the template lowers the probability. So does a part of the template
-    that moves differently from the rest, such as an object in front of a static background. A
-    visible template may therefore be reported as lost. If the box shows much background, a template
-    whose object moves is reported as lost by ``"two motions"``; a `mask` that excludes the
-    background avoids this. A template that has not moved since the first frame is lost, too, while
-    only its outer part is visible. If the texture is periodic in the box and about it, motion by
-    a whole period cannot be distinguished from rest. Motion by nearly a whole period then looks
-    like a small motion in the opposite direction.
+    A visible template may be reported as lost in these cases:
+
+    - Another object in the frame resembles the template.
+    - The template contains a moving object and a static background (``"two motions"``). Draw the
+      box tightly around the object, or give a `mask` that excludes the background.
+    - The texture is periodic in the box and around it, and the motion between two frames is large.
+      Keep the motion below a third of the period: motion by a whole period cannot be distinguished
+      from rest.
+
 
     Parameters
     ----------
     image : array_like, shape (H, W) or (H, W, 3)
-        The frame with the template; color becomes luminance.
+        Frame that shows the template. Color is converted to luminance.
     box : tuple of int
         (x, y, width, height) of the template in px: columns x … x + width − 1, rows y … y + height
         − 1.
@@ -81,9 +82,9 @@ class ESMTracker:
     Raises
     ------
     ValueError
-        If the box extends beyond the image or is smaller than 6 px. If the template is flat, or its
-        gradient has one direction only: its position is then undetermined. If the texture of the
-        template is so fine that the smoothing before the alignment removes it.
+        If the box extends beyond the image or is smaller than 6 px. If the position of the template
+        is undetermined, because it has no texture or texture in one direction only. If the texture
+        is so fine that the smoothing before the alignment removes it.
 
     References
     ----------
@@ -173,7 +174,7 @@ class ESMTracker:
         Parameters
         ----------
         frame : array_like, shape (H, W) or (H, W, 3)
-            A frame of the size of the first one; color becomes luminance.
+            Frame of the same size as the first. Color is converted to luminance.
 
         Returns
         -------
