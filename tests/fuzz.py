@@ -20,12 +20,11 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import count, zip_longest
 from pathlib import Path
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
 
-from microlib import calibration, embryo, membrane, servoing, synthetic
+from microlib import calibration, embryo, membrane, synthetic
 from tests.laws import Row, Units, resolve, tables
 
 #: Processor time for one call, s: waiting for other processes does not count.
@@ -102,13 +101,6 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
         "path": FOLDER / f"{next(_NUMBER)}.ply", "image": np.zeros((6, 8), np.uint8)
     },
     "io.write_stl": lambda: {"path": FOLDER / f"{next(_NUMBER)}.stl"},
-    "servoing.servo": lambda: {"jacobian": np.eye(2) * 0.3, "progress": lambda row: None},
-    "servoing.MicroManager": lambda: {"core": Mock()},
-    "servoing.SimulatedWorkstation": lambda: {
-        "render": lambda feature: target(), "jacobian": np.eye(2) * 0.3,
-        "stage": servoing.StageModel(500.0), "camera": servoing.CameraTiming(0.04), "rng": 0,
-        "home": [10.0, 10.0], "drift": [0.1, 0.2],
-    },
     "synthetic._embryo.EmbryoImage.to_pixels": lambda: {"self": egg(), "points": np.eye(5, 2)},
     "synthetic._gripper.GripperScene.box": lambda: {
         "self": gripper(), "size": 20, "shift": np.array([3.0, 4.0])

@@ -151,7 +151,6 @@ CONTRADICTIONS: dict[str, tuple[object, ...]] = {
     "servoing.servo.test_move": (500.0, 80.0),  # beyond the travel, and beyond the longest move
     "servoing.simulate.reference": (np.full((3, 2), 9e4),),
     "servoing.path_metrics.position": (np.zeros((1, 2)),),
-    "servoing.step_metrics.target": (fuzz.valid_call("servoing.step_metrics")["position"][0],),
     "servoing.step_metrics.time": (np.zeros(25), np.arange(24.0)),
     "synthetic.Embryo.dented.depth": (3000.0,),
     "synthetic.Embryo.rim_radius": (20.0,),

@@ -1,4 +1,4 @@
-"""The laws of every public name of `microlib.servoing`."""
+"""The calls of every public function of servoing: their units, their axes and what they refuse."""
 
 from types import SimpleNamespace
 
@@ -6,8 +6,19 @@ import numpy as np
 import pytest
 
 from microlib import servoing
-from tests.laws import GOES_ON, NUMBER, SAME, VIEWS, Row, TestedBy, Units, laws_of, px, s, um
-from tests.servoing import test_micromanager
+from microlib.servoing import CameraTiming, OptimalController, SimulatedWorkstation, StageModel
+from tests.checks import (
+    NEGATIVE,
+    NOT_POSITIVE,
+    Wrong,
+    each_view,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_array,
+    not_finite,
+    not_real,
+)
 
 #: px/µm of a camera that is turned and mirrored and whose pixels are not square.
 J = np.array([[0.08, -0.31], [-0.24, -0.11]])
@@ -16,58 +27,43 @@ Q, L = np.array([[0.9, 0.2], [0.2, 1.4]]), np.array([[3e-6, -1e-6], [-1e-6, 8e-6
 STEP = np.array([30.0, -20.0])
 ANSWER = 1 - np.exp(-np.arange(25.0) / 4) * np.cos(np.arange(25.0) / 2)
 PATH = np.cumsum(np.random.default_rng(3).normal([1.0, -0.6], 0.8, (30, 2)), axis=0)
+#: Origins of pixels, of the stage and of time.
+PLACE, STAND, T0 = np.array([12.0, -5.0]), np.array([310.0, -140.0]), 3.7
 
 
-def weighted(u) -> dict:
+def weighted(um: float = 1.0, px: float = 1.0, s: float = 1.0) -> dict:
     """Return the arguments of a controller; L has the unit that its docstring says."""
     return {
-        "jacobian": J * u.px / u.um,
-        "interval": 0.03 * u.s,
-        "feature_weight": Q,
-        "control_weight": L * (u.px * u.s / u.um) ** 2,
+        "jacobian": J * px / um,
+        "interval": 0.03 * s,
+        "feature_weight": Q.copy(),
+        "control_weight": L * (px * s / um) ** 2,
     }
 
 
-def sample(u) -> dict:
-    origin = np.array([u.x0, u.y0])
-    return {"k": 2, "measured": origin + STEP * u.px, "reference": origin + PATH * u.px}
+def stage(um: float = 1.0, s: float = 1.0) -> StageModel:
+    return StageModel(400.0 * um / s, increment=0.07 * um, travel=900.0 * um)
 
 
-def stage(u) -> servoing.StageModel:
-    return servoing.StageModel(400.0 * u.um / u.s, increment=0.07 * u.um, travel=900.0 * u.um)
-
-
-def camera(u) -> servoing.CameraTiming:
-    return servoing.CameraTiming(0.03 * u.s, latency=0.04 * u.s, jitter=0.2 * u.px)
-
-
-def begun(u) -> servoing.SimulatedWorkstation:
+def begun(
+    um: float = 1.0, px: float = 1.0, s: float = 1.0, *,
+    place: np.ndarray = PLACE, stand: np.ndarray = STAND, t0: float = T0,
+) -> SimulatedWorkstation:  # fmt: skip
     """Return a workstation with the clock and the stage not at zero."""
-    drift = np.array([0.7, -0.4]) * u.px / u.s
-    away = J @ [u.x0_um, u.y0_um] * u.px / u.um
-    found = servoing.SimulatedWorkstation(
+    drift = np.array([0.7, -0.4]) * px / s
+    found = SimulatedWorkstation(
         lambda feature: np.zeros((9, 9)),
-        jacobian=J * u.px / u.um,
-        stage=servoing.StageModel(400.0 * u.um / u.s, increment=0.0, travel=9000.0 * u.um),
-        camera=servoing.CameraTiming(0.03 * u.s, latency=0.01 * u.s),
+        jacobian=J * px / um,
+        stage=StageModel(400.0 * um / s, increment=0.0, travel=9000.0 * um),
+        camera=CameraTiming(0.03 * s, latency=0.01 * s),
         rng=0,
-        home=np.array([u.x0, u.y0]) - away - drift * u.t0,
+        home=place * px - J @ stand * px - drift * t0 * s,
         drift=drift,
     )
-    found.clock.sleep(u.t0)
-    found.stage.move_to(np.array([u.x0_um, u.y0_um]))
-    found.clock.sleep(100.0 * u.s)  # until it is there
-    found._now = u.t0
+    found.stage.move_to(stand * um)
+    found.clock.sleep(100.0 * s)  # until it is there
+    found._now = t0 * s
     return found
-
-
-def driven(u, workstation) -> tuple:
-    """Return what a workstation reports during a move."""
-    stage, clock = workstation.stage, workstation.clock
-    stage.move_to(stage.position() + np.array([50.0, -20.0]) * u.um)
-    clock.sleep(0.1 * u.s)
-    exposed = [workstation.camera.snap()[1] for _ in range(3)]
-    return stage.position(), clock.now(), exposed, workstation.feature
 
 
 def seeing(workstation, lost=()) -> SimpleNamespace:
@@ -84,81 +80,249 @@ def seeing(workstation, lost=()) -> SimpleNamespace:
     return SimpleNamespace(track=track)
 
 
-def steered(u) -> dict:
-    workstation = begun(u)
+def steered(
+    um: float = 1.0, *, place: np.ndarray = PLACE, stand: np.ndarray = STAND, t0: float = T0
+) -> dict:
+    workstation = begun(um, place=place, stand=stand, t0=t0)
     return {
         "workstation": workstation,
         "tracker": seeing(workstation),
-        "targets": np.array([u.x0, u.y0]) + np.array([STEP, -STEP]),
-        "travel": np.array([400.0, 500.0]) * u.um,
-        "test_move": 41.0 * u.um,  # its time is no multiple of the 2 ms between two polls
-        "longest_move": 70.0 * u.um,
+        "targets": place + np.array([STEP, -STEP]),
+        "travel": np.array([400.0, 500.0]) * um,
+        "test_move": 41.0 * um,  # its time is no multiple of the 2 ms between two polls
+        "longest_move": 70.0 * um,
         "tolerance": 0.1,
     }
 
 
-XY = px.counted_from("x0", "y0")
-LOG = {
-    **dict.fromkeys(("phase", "target", "lost", "event"), SAME),
-    **{f"{n}_{a}_px": px.counted_from(f"{a}0") for n in ("reference", "measured") for a in "xy"},
-    **{f"{n}_{a}_um": um.counted_from(f"{a}0_um") for n in ("stage", "command") for a in "xy"},
-    **dict.fromkeys(("time_s", "latency_s"), s),
+#: A valid call of each function, in any units.
+CALLS = {
+    CameraTiming: lambda um=1.0, px=1.0, s=1.0: {
+        "interval": 0.03 * s,
+        "latency": 0.05 * s,
+        "jitter": 0.1 * px,
+    },
+    StageModel: lambda um=1.0, px=1.0, s=1.0: vars(stage(um, s)),
+    StageModel.rounded: lambda um=1.0, px=1.0, s=1.0: {
+        "self": stage(um, s),
+        "position": np.array([1.23, -45.6]) * um,
+    },
+    OptimalController: weighted,
+    OptimalController.__call__: lambda um=1.0, px=1.0, s=1.0: {
+        "self": OptimalController(**weighted(um, px, s)),
+        "k": 2,
+        "measured": (PLACE + STEP) * px,
+        "reference": (PLACE + PATH) * px,
+    },
+    servoing.ibvs_control: lambda um=1.0, px=1.0, s=1.0: {
+        "jacobian": J * px / um,
+        "error": STEP * px,
+        "gain": 0.5 / s,
+        "drift": np.array([0.7, -0.4]) * px / s,
+    },
+    servoing.loop_poles: lambda um=1.0, px=1.0, s=1.0: {"gain": 0.4, "delay": 1.3},
+    servoing.optimal_control: lambda um=1.0, px=1.0, s=1.0: {
+        **weighted(um, px, s),
+        "feature": PLACE * px,
+        "target": (PLACE + STEP) * px,
+    },
+    servoing.path_metrics: lambda um=1.0, px=1.0, s=1.0: {
+        "position": (PLACE + PATH + 0.1 * PATH[::-1]) * px,
+        "reference": (PLACE + PATH) * px,
+    },
+    servoing.point_jacobian: lambda um=1.0, px=1.0, s=1.0: {
+        "points": PATH[:3] * px,
+        "depth": np.array([300.0, 350.0, 280.0]) * um,
+        "magnification": 6.4,
+        "pixel_pitch": np.array([9.9, 8.3]) * um / px,
+    },
+    servoing.simulate: lambda um=1.0, px=1.0, s=1.0: {
+        "controller": OptimalController(**weighted(um, px, s)),
+        "reference": (PLACE + PATH) * px,
+        "jacobian": 1.1 * J * px / um,
+        "stage": stage(um, s),
+        "camera": CameraTiming(0.03 * s, latency=0.04 * s, jitter=0.2 * px),
+        "rng": 0,
+        "start": (PLACE - STEP) * px,
+    },
+    servoing.step_metrics: lambda um=1.0, px=1.0, s=1.0: {
+        "time": (T0 + np.arange(25.0) ** 1.1) * s,
+        "position": (PLACE + ANSWER[:, None] * STEP) * px,
+        "target": (PLACE + STEP) * px,
+        "band": 0.04,
+    },
 }
-METRICS = {"accuracy": px, "precision": px}
-
-LAWS = {
-    "servoing.CameraTiming": Row(lambda u: {"interval": 0.03 * u.s, "latency": 0.05 * u.s,
-        "jitter": 0.1 * u.px}, {"interval": s, "latency": s, "jitter": px}),
-    "servoing.StageModel": Row(lambda u: vars(stage(u)), {"saturation": um / s, "increment": um,
-        "travel": um}),
-    "servoing.StageModel.rounded": Row(lambda u: {"self": stage(u),
-        "position": np.array([1.23, -45.6]) * u.um}, um),
-    "servoing.MicroManager": TestedBy(
-        test_micromanager.test_stage_of_micromanager_is_the_xy_stage_of_the_core,
-        test_micromanager.test_time_of_a_frame_is_the_middle_of_its_exposure,
-    ),
-    "servoing.OptimalController": Row(weighted, {"gain": um / s / px}),
-    "servoing.OptimalController.__call__": Row(
-        lambda u: {"self": servoing.OptimalController(**weighted(u)), **sample(u)}, um / s),
-    "servoing.SimulatedWorkstation": Row(lambda u: {"u": u, "workstation": begun(u)},
-        (um.counted_from("x0_um", "y0_um"), s.counted_from("t0"), s.counted_from("t0"), XY),
-        laws=GOES_ON, call=driven),
-    "servoing.ibvs_control": Row(lambda u: {"jacobian": J * u.px / u.um, "error": STEP * u.px,
-        "gain": 0.5 / u.s, "drift": np.array([0.7, -0.4]) * u.px / u.s}, um / s),
-    "servoing.loop_poles": Row(lambda u: {"gain": 0.4, "delay": 1.3 * u.s / u.s}, NUMBER),
-    "servoing.optimal_control": Row(lambda u: {**weighted(u), "feature": np.array([u.x0, u.y0]),
-        "target": np.array([u.x0, u.y0]) + STEP * u.px}, um / s),
-    "servoing.path_metrics":
-        Row(lambda u: {"position": np.array([u.x0, u.y0]) + (PATH + 0.1 * PATH[::-1]) * u.px,
-        "reference": np.array([u.x0, u.y0]) + PATH * u.px}, METRICS | {"largest": px}),
-    "servoing.point_jacobian": Row(lambda u: {"points": PATH[:3] * u.px,
-        "depth": np.array([300.0, 350.0, 280.0]) * u.um, "magnification": 6.4,
-        "pixel_pitch": np.array([9.9, 8.3]) * u.um / u.px},
-        [px / um, px / um, px / um, px, px, px]),
-    "servoing.servo": Row(steered,
-        {**dict.fromkeys(("reached", "reason", "still", "error"), SAME), "log": LOG,
-        **LOG, "jacobian": px / um, "jacobian_covariance": px**2 / um**2, "drift": px / s,
-        # px and s are fixed by the frames and by the interval at which devices are polled
-        "reduced_chi2": NUMBER}, laws=GOES_ON, fixed=("px", "s")),
-    "servoing.simulate": Row(lambda u: {"controller": servoing.OptimalController(**weighted(u)),
-        "reference": np.array([u.x0, u.y0]) + PATH * u.px, "jacobian": 1.1 * J * u.px / u.um,
-        "stage": stage(u), "camera": camera(u), "rng": 0,
-        "start": np.array([u.x0, u.y0]) - STEP * u.px},
-        {**dict.fromkeys(("reference", "feature", "measured"), XY), "time": s, "position": um,
-        "command": um / s, "saturated": SAME}),
-    "servoing.step_metrics": Row(lambda u: {"time": u.t0 + np.arange(25.0) ** 1.1 * u.s,
-        "position": np.array([u.x0, u.y0]) + ANSWER[:, None] * STEP * u.px,
-        "target": np.array([u.x0, u.y0]) + STEP * u.px, "band": 0.04},
-        METRICS | {"settling_time": s, "overshoot": NUMBER}),
-}  # fmt: skip
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+#: Other units, and those of the results in them.
+UM, PX, S = 1.7, 0.6, 2.3
+METRICS = {"accuracy": PX, "precision": PX}
+FACTORS = {
+    CameraTiming: {"interval": S, "latency": S, "jitter": PX},
+    StageModel: {"saturation": UM / S, "increment": UM, "travel": UM},
+    servoing.path_metrics: METRICS | {"largest": PX},
+    servoing.simulate: {
+        **dict.fromkeys(("reference", "feature", "measured"), PX),
+        **{"time": S, "position": UM, "command": UM / S},
+    },
+    servoing.step_metrics: METRICS | {"settling_time": S},
+    servoing.point_jacobian: {"factor": np.array([PX / UM] * 3 + [PX] * 3)},
+    servoing.loop_poles: {},
+    StageModel.rounded: {"factor": UM},
+}
+SINGULAR = [[[1.0, 2.0], [2.0, 4.0]], np.zeros((2, 2))]
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+def no_jacobian(valid):
+    return [*no_array(valid), *SINGULAR]
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+def no_weight(valid):
+    return [*no_array(valid), (0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]]]
+
+
+#: What is refused in place of each argument.
+REFUSED = {
+    CameraTiming: {"interval": NOT_POSITIVE, "latency": NEGATIVE, "jitter": NEGATIVE},
+    StageModel: {"saturation": NOT_POSITIVE, "travel": NOT_POSITIVE, "increment": NEGATIVE},
+    StageModel.rounded: {"position": not_finite},
+    OptimalController: {
+        **{"jacobian": no_jacobian, "interval": NOT_POSITIVE},
+        **{"feature_weight": no_weight, "control_weight": no_weight},
+    },
+    OptimalController.__call__: {
+        "k": [*NEGATIVE, 1.5],
+        "measured": lambda valid: [*not_real(valid), Wrong(3.0)],
+        "reference": no_array,
+    },
+    servoing.ibvs_control: {
+        **{"jacobian": no_jacobian, "error": no_array, "gain": NOT_POSITIVE, "drift": no_array},
+    },
+    servoing.loop_poles: {"gain": NOT_POSITIVE, "delay": NEGATIVE},
+    servoing.optimal_control: {
+        **{"jacobian": no_array, "feature": no_array, "target": no_array},
+        **{"interval": NOT_POSITIVE, "feature_weight": no_weight, "control_weight": no_weight},
+    },
+    servoing.path_metrics: {
+        "position": lambda valid: [*no_array(valid), np.zeros((1, 2))],
+        "reference": no_array,
+    },
+    servoing.point_jacobian: {
+        "points": no_array,
+        "depth": not_finite,
+        "magnification": NOT_POSITIVE,
+        "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, -valid],
+    },
+    servoing.simulate: {
+        "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)],
+        "jacobian": not_finite,
+        "rng": NEGATIVE,
+        "start": no_array,
+    },
+    servoing.step_metrics: {
+        "time": lambda valid: [*no_array(valid), np.zeros(25), valid[:-1]],
+        "position": no_array,
+        "target": lambda valid: [*no_array(valid), PLACE],
+        "band": [*NOT_POSITIVE, 1.0],
+    },
+}
+
+
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function])
+
+
+@pytest.mark.parametrize("function", [f for f in CALLS if f is not OptimalController])
+def test_results_follow_units_of_length_pixel_and_time(function):
+    found, plain = function(**CALLS[function](UM, PX, S)), function(**CALLS[function]())
+    hold_scaled(found, plain, **FACTORS.get(function, {"factor": UM / S}))  # a velocity
+
+
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED[function])
+
+
+def test_wrong_arguments_of_a_run_are_refused_by_name():
+    wrong = {
+        "jacobian": no_jacobian,
+        "targets": no_array,
+        "travel": lambda valid: [*not_finite(valid), np.zeros(2), -valid],
+        # Beyond the travel, and beyond the longest move.
+        "test_move": [*NOT_POSITIVE, 500.0, 80.0],
+        **dict.fromkeys(("tolerance", "longest_move", "timeout"), NOT_POSITIVE),
+    }
+    hold_refused(servoing.servo, {"jacobian": J.copy(), **steered()}, wrong)
+    rendered = {"render": lambda feature: np.zeros((9, 9)), "jacobian": J.copy(), "rng": 0}
+    rendered |= {"stage": stage(), "camera": CameraTiming(0.03), "drift": np.ones(2)}
+    wrong = {"jacobian": no_jacobian, "drift": no_array, "home": no_array, "rng": NEGATIVE}
+    hold_refused(SimulatedWorkstation, rendered | {"home": np.ones(2)}, wrong)
+
+
+def test_step_and_path_metrics_and_control_do_not_depend_on_origins():
+    def moved(function, *names, by):
+        given = CALLS[function]()
+        return function(**given | {name: given[name] + by for name in names})
+
+    away = np.array([31.0, 17.0])
+    for function, names in (
+        (servoing.step_metrics, ("position", "target")),
+        (servoing.path_metrics, ("position", "reference")),
+        (servoing.optimal_control, ("feature", "target")),
+        (OptimalController.__call__, ("measured", "reference")),
+    ):
+        hold_scaled(moved(function, *names, by=away), function(**CALLS[function]()))
+    later = moved(servoing.step_metrics, "time", by=11.9)
+    hold_scaled(later, servoing.step_metrics(**CALLS[servoing.step_metrics]()))
+    run = moved(servoing.simulate, "reference", "start", by=away)
+    by = dict.fromkeys(("reference", "feature", "measured"), lambda seen: seen + away)
+    hold_scaled(run, servoing.simulate(**CALLS[servoing.simulate]()), **by)
+
+
+MOVED = {
+    "place": PLACE + np.array([31.0, 17.0]),
+    "stand": STAND + np.array([-72.0, 95.0]),
+    "t0": T0 + 11.9,
+}
+
+
+@pytest.mark.parametrize("origins", [{}, MOVED])
+def test_simulated_devices_follow_units_and_origins(origins):
+    def driven(workstation, um, s):
+        """Return what a workstation reports during a move."""
+        stage, clock = workstation.stage, workstation.clock
+        stage.move_to(stage.position() + np.array([50.0, -20.0]) * um)
+        clock.sleep(0.1 * s)
+        exposed = [workstation.camera.snap()[1] for _ in range(3)]
+        return stage.position(), workstation.feature, np.array([clock.now(), *exposed])
+
+    um, px, s = (1.0, 1.0, 1.0) if origins else (UM, PX, S)
+    changes = [origins.get(n, old) - old for n, old in (("stand", STAND), ("place", PLACE))]
+    changes.append(origins.get("t0", T0) - T0)
+    found, plain = driven(begun(um, px, s, **origins), um, s), driven(begun(), 1.0, 1.0)
+    for one, wanted, unit, change in zip(found, plain, (um, px, s), changes, strict=True):
+        np.testing.assert_allclose(one, wanted * unit + change, rtol=1e-9)
+
+
+@pytest.mark.parametrize("um", [1.0, UM])
+def test_run_follows_unit_of_stage_and_origins(um):
+    """Frames fix the pixels, and the interval at which devices are polled fixes the seconds."""
+    origins = MOVED if um == 1 else {}
+    found, plain = servoing.servo(**steered(um, **origins)), servoing.servo(**steered())
+    away = {
+        name: origins.get(name, old) - old for name, old in (("place", PLACE), ("stand", STAND))
+    }
+    log = {}
+    for k, axis in enumerate("xy"):
+        for name in ("stage", "command"):
+            log[f"{name}_{axis}_um"] = lambda x, k=k: um * x + away["stand"][k]
+        for name in ("reference", "measured"):
+            log[f"{name}_{axis}_px"] = lambda x, k=k: x + away["place"][k]
+    by = {"jacobian": 1 / um, "jacobian_covariance": 1 / um**2}
+    hold_scaled(found, plain, log=log, **by)
+
+
+@each_view
 def test_stage_motion_follows_rotation_of_camera(view):
     turn = view.matrix
     plain = {"interval": 0.03, "control_weight": L}
@@ -178,9 +342,9 @@ def test_stage_motion_follows_rotation_of_camera(view):
     np.testing.assert_allclose(runs[1].position, runs[0].position, atol=1e-9)
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@each_view
 def test_step_metrics_follow_rotation_of_axes(view):
-    given = LAWS["servoing.step_metrics"].arguments(Units())
+    given = CALLS[servoing.step_metrics]()
     given["position"] += np.exp(-np.arange(25.0) / 4)[:, None] * [5.0, 2.0]  # off the line
     turned = {name: view.vectors(given[name]) for name in ("position", "target")}
     plain = vars(servoing.step_metrics(**given))
@@ -193,7 +357,7 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
     """The run goes on after one or two lost frames, wherever they are."""
     lost = np.random.default_rng(seed).random(200) < 0.45
     lost[0] = False  # the first frame precedes the phase "servo"
-    workstation = begun(Units())
+    workstation = begun()
     tracker = seeing(workstation, np.flatnonzero(lost))
     given = {"jacobian": J, "travel": 400.0, "longest_move": 6.0}
     run = servoing.servo(workstation, tracker, workstation.feature + STEP, **given, tolerance=0.2)
@@ -210,7 +374,7 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
 
 
 def test_relative_error_of_the_jacobian_remains_after_a_move():
-    workstation = begun(Units())
+    workstation = begun()
     targets = workstation.feature + STEP
     given = {"jacobian": 1.25 * J, "travel": 400.0, "tolerance": 0.5}
     log = servoing.servo(workstation, seeing(workstation), targets, **given).log

@@ -10,15 +10,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from compendium.experiments.microscope import make_scope, turned
 from microlib.servoing import StageModel, servo
+from tests.scenes.microscope import demo_scope, simulated_scope, turned
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
 AWAY = np.array([30.0, -25.0])
 
 
 def scope_of(seed=0, **options):
-    return make_scope(seed, **{"jacobian": JACOBIAN} | options)
+    return simulated_scope(seed, **{"jacobian": JACOBIAN} | options)
 
 
 def steer(scope, targets, **options):
@@ -31,12 +31,13 @@ def steer(scope, targets, **options):
 def test_targets_are_reached_and_every_frame_is_logged(kind):
     if kind != "simulated":
         pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
-    scope = scope_of() if kind == "simulated" else make_scope(None)
+    scope = scope_of() if kind == "simulated" else demo_scope()
     run = steer(scope, AWAY, test_move=10.0)
     assert run.reached.all()
     assert run.still
     assert run.reason == ""
-    np.testing.assert_allclose(scope.moved(), AWAY, atol=0.12)
+    moved = scope.jacobian @ scope.workstation.stage.position()
+    np.testing.assert_allclose(moved, AWAY, atol=0.12)
     log = run.log
     others = log.drop(columns=["phase", "event"]).dtypes.astype(str).to_dict()
     assert (others.pop("target"), others.pop("lost")) == ("int64", "bool")

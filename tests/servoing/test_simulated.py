@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from compendium.experiments.microscope import make_scope
 from microlib.servoing import CameraTiming, StageModel
+from tests.scenes.microscope import simulated_scope
 
 
 def workstation(**options):
-    return make_scope(0, **options).workstation
+    return simulated_scope(0, **options).workstation
 
 
 def test_stage_positions_are_multiples_of_its_step():
