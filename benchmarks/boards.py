@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from benchmarks.photographs import pictures, texture
+from tests.scenes.photographs import pictures, texture
 from benchmarks.report import Limits, Tables, rms
 from microlib.calibration import calibrate, detect_circles, detect_squares
 from microlib.microscope import euler_rotation

@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from skimage import data
 
 from benchmarks.focus_depth import drawn, render, tilted
-from benchmarks.photographs import grey_levels, middle, photograph
+from tests.scenes.photographs import grey_levels, middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus

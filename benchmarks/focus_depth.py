@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.photographs import middle, photograph
+from tests.scenes.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.rendering import blended, disc, expose
 from microlib import synthetic

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from benchmarks.photographs import photograph
+from tests.scenes.photographs import photograph
 from tests.scenes import camera_frame
 
 Array = NDArray[np.float64]

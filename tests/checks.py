@@ -15,6 +15,7 @@ import pickle
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -215,7 +216,8 @@ def parts(value: Any) -> dict[Any, Any]:
     if isinstance(value, (dict, pd.DataFrame)):
         return {name: value[name] for name in value}
     names = [field.name for field in dataclasses.fields(value)]
-    names += [n for n in dir(type(value)) if isinstance(getattr(type(value), n), property)]
+    computed = (property, cached_property)
+    names += [n for n in dir(type(value)) if isinstance(getattr(type(value), n), computed)]
     return {name: getattr(value, name) for name in names if not name.startswith("_")}
 
 

@@ -24,7 +24,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from microlib import calibration, embryo, membrane, synthetic
+from microlib import calibration, membrane, synthetic
 from tests.laws import Row, Units, resolve, tables
 
 #: Processor time for one call, s: waiting for other processes does not count.
@@ -49,16 +49,7 @@ def charuco() -> np.ndarray:
     return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
 
 
-@cache
-def egg() -> synthetic.EmbryoImage:  # type: ignore[name-defined]
-    return synthetic.embryo_image(
-        synthetic.Embryo.pressed(150.0, modulus=1.0), rng=0, pixel_size=7.75, shape=(256, 320)
-    )
-
-
-@cache
-def outline():
-    return embryo.extract_boundary(egg().image)
+from tests.scenes.embryo import small_egg as egg  # noqa: E402
 
 
 @cache
@@ -81,20 +72,11 @@ CALLS: dict[str, Callable[[], dict[str, object]]] = {
     "calibration.Calibration.from_json": lambda: {"text": calibrated().to_json()},
     "calibration.Calibration.to_json": lambda: {"self": calibrated()},
     "calibration.detect_charuco": lambda: {"image": charuco()},
-    "embryo._boundary.Boundary.without_probe": lambda: {
-        "self": outline(), "image": egg().image
-    },
     "focus.depth_from_focus": lambda: {
         "frames": stack(), "positions": np.arange(5.0), "measure": "sml", "window": 5,
         "region": (0, 0, 20, 20),
     },
     "io.read_frames": lambda: {"frames": stack(), "region": (0, 0, 20, 20)},
-    "embryo.dimple_from_outline": lambda: {
-        "x": np.arange(60.0), "pixel_size": 3.9,
-        "y": 9.0 - 7.0 * np.exp(-(((np.arange(60.0) - 30.0) / 9.0) ** 2))
-        - (np.arange(60.0) - 30.0) ** 2 / 300.0,
-    },
-    "embryo.read_outline": lambda: {"path": DATA / "outline.csv"},
     "io.read_grey": lambda: {"path": DATA / "height_um.tif"},
     "io.write_height_tiff": lambda: {"path": FOLDER / f"{next(_NUMBER)}.tif"},
     "io.write_ply": lambda: {

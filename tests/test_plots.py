@@ -14,7 +14,7 @@ from microlib.calibration import Detection, calibrate
 from microlib.embryo import modulus_from_image
 from microlib.focus import FocusResult
 from microlib.tracking import Track, plot_track
-from tests import fuzz
+from tests.scenes.embryo import small_egg
 from tests.tracking.test_public import FOUND
 
 mpl.use("Agg")
@@ -150,7 +150,7 @@ def test_plot_with_given_axes_or_one_image_shows_one_view(views):
 
 def test_outline_is_drawn_with_curve_and_modulus():
     sizes = {"pixel_size": 7.75, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
-    found = modulus_from_image(fuzz.egg().image, 150.0, **sizes)
+    found = modulus_from_image(small_egg().image, 150.0, **sizes)
     (ax,) = found.plot().axes
     ends = "{:.2g} to {:.2g} MPa".format(*found.model_interval)
     title = f"E = {ends} over {len(found.model_moduli)} models,\nby (5.2) {found.modulus}"

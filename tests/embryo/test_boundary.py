@@ -10,10 +10,10 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from benchmarks.capsule_embryo import draw_scene
-from benchmarks.photographs import pictures, texture
 from microlib.embryo import extract_boundary, fit_dimple
 from microlib.synthetic import Embryo, embryo_image
+from tests.scenes.embryo import draw_scene
+from tests.scenes.photographs import pictures, texture
 
 PRESSED = Embryo.pressed(150.0, modulus=1.2)
 

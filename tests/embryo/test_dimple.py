@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 
 from microlib.embryo import fit_dimple
 from microlib.synthetic import Embryo
-from tests import fuzz
-from tests.laws import hold_sigma
+from tests.checks import hold_sigma
+from tests.scenes.embryo import small_outline
 
 PIXEL = 4.0  # µm
 ROWS = 800
@@ -37,7 +37,7 @@ def outline(
         x, y = np.stack([x, y]) + across * uniform_filter1d(errors, shared)
     cos, sin = np.cos(tilt), np.sin(tilt)
     tip = np.array([-sin, cos]) * -embryo.dimple_depth / PIXEL + CENTER
-    extracted = fuzz.outline()
+    extracted = small_outline()
     probe = replace(
         extracted.probe,
         tip=(tip[0], ROWS - 1 - tip[1]),

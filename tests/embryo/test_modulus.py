@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.capsule_embryo import draw_scene
 from microlib.embryo import modulus_from_image
 from microlib.membrane import capsule_modulus, disc_modulus
 from microlib.synthetic import Embryo, embryo_image
+from tests.scenes.embryo import draw_scene
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 

@@ -1,6 +1,7 @@
 """Outlines from tables: formats of the file, the part with the dimple, and its uncertainty."""
 
 import csv
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,14 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from skimage.measure import find_contours
 
-from compendium.guides import find_input, manifest
 from microlib.embryo import dimple_from_outline, read_outline
-from tests.laws import hold_sigma
+from tests.checks import hold_sigma
 
-POINTS = pd.read_csv(find_input("outline.csv"))
+DATA = Path(__file__).parents[2] / "data" / "synthetic"
+ABOUT = tomllib.loads((DATA / "MANIFEST.toml").read_text(encoding="utf-8"))["outline.csv"]
+POINTS = pd.read_csv(DATA / "outline.csv")
 X, Y = POINTS.to_numpy().T
-PIXEL = manifest()["outline.csv"]["settings"]["pixel_size"]
+PIXEL = ABOUT["settings"]["pixel_size"]
 #: 193 columns of a smooth dimple.
 ACROSS = np.arange(193.0)
 
@@ -37,7 +39,7 @@ def traced(seed: int = 2, noise: float = 0.15) -> NDArray:
 
 
 def test_dimple_of_synthetic_outline_matches_truth() -> None:
-    truth = manifest()["outline.csv"]["truth"]
+    truth = ABOUT["truth"]
     found = dimple_from_outline(X, Y, pixel_size=PIXEL)
     for dimple in (found.left, found.right):
         radius_std, depth_std = np.sqrt(np.diag(dimple.covariance))

@@ -1,8 +1,12 @@
-"""The laws of every public name of `microlib.embryo`."""
+"""The calls of every public function of the embryo: their units and what they refuse."""
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from microlib import embryo
 from microlib.embryo import (
     GaussianSum,
     dimple_geometry,
@@ -10,137 +14,192 @@ from microlib.embryo import (
     fit_dimple,
     modulus_from_image,
 )
-from tests import fuzz
-from tests.embryo import test_outline
-from tests.laws import (
-    NUMBER,
-    SAME,
-    MPa,
-    Row,
-    TestedBy,
-    Units,
-    estimate,
+from tests.checks import (
+    BROKEN,
+    NEGATIVE,
+    NO_COUNT,
+    NO_TEXT,
+    NOT_POSITIVE,
+    hold_call,
+    hold_refused,
     hold_same_as_new,
-    laws_of,
-    px,
-    um,
-    uN,
+    hold_scaled,
+    no_array,
+    not_finite,
 )
+from tests.scenes.embryo import small_egg, small_outline
 
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
-#: Amplitudes, centers and widths of an outline whose rims differ, and its range of x, px.
-HILLS = np.array([[61.0, 55.0, 5.0], [52.0, 147.0, 190.0], [38.0, 43.0, 12.0]])
-DOMAIN = np.array([5.0, 203.0])
-SUM = {
-    "amplitudes": px,
-    "centers": px.counted_from("x0"),
-    "widths": px,
-    "domain": px.counted_from("x0"),
-}
-GEOMETRY = {
-    "rim_radius": um, "dimple_depth": um, "covariance": um**2,
-    "rim": px.counted_from("x0", None), "bottom": px.counted_from("x0", None),
-}  # fmt: skip
-FIT = {
-    "rim_radius": um, "dimple_depth": um, "covariance": um**2, "rim_curvatures": 1 / um,
-    "pixel_size": um, "probe_half_width": um, "center": NUMBER, "tilt": NUMBER, "rms_px": NUMBER,
-    "curve": NUMBER,
-}  # fmt: skip
 #: µm. Only the pixel size, these lengths and the force give the results their units.
 SIZES = {"thickness": 2.6, "probe_half_width": 25.0}
-EGG = fuzz.egg().image.astype(np.float32)  # the library uses float32 without a copy
+EGG = small_egg().image.astype(np.float32)  # the library uses float32 without a copy
+ACROSS = np.arange(60.0)
+#: A flat outline with one dimple, px.
+DENTED = 9.0 - 7.0 * np.exp(-(((ACROSS - 30.0) / 9.0) ** 2)) - (ACROSS - 30.0) ** 2 / 300.0
 
 
-def film(u) -> dict:
-    sizes = {name: value * u.um for name, value in SIZES.items()}
-    return sizes | {"poisson_ratio": 0.31, "pixel_size": 7.75 * u.um, "direction": "top"}
+def hills(px: float = 1.0, x0: float = 12.0) -> GaussianSum:
+    """Return an outline whose rims differ, from an origin x0 (px)."""
+    amplitudes, widths = np.array([61.0, 52.0, 38.0]), np.array([5.0, 190.0, 12.0])
+    centers, domain = np.array([55.0, 147.0, 43.0]), np.array([5.0, 203.0])
+    return GaussianSum(
+        px * amplitudes, px * (centers + x0), px * widths, domain=tuple(px * (domain + x0))
+    )
 
 
-def hills(u) -> GaussianSum:
-    a, b, c = HILLS * u.px + [[0.0], [u.x0], [0.0]]
-    return GaussianSum(a, b, c, domain=tuple(DOMAIN * u.px + u.x0))
+def noisy(terms: int = 2, px: float = 1.0, x0: float = 12.0) -> dict:
+    x = (x0 + ACROSS * 3.3) * px
+    errors = np.random.default_rng(0).normal(0, 0.1, 60) * px
+    return {"x": x, "y": hills(px, x0)(x) + errors, "terms": terms}
 
 
-ESTIMATE = {
-    "modulus": estimate(MPa), "model_interval": MPa, "force": uN,
-    "relative_rms": NUMBER, "boundary": SAME, "dimple": FIT,
-    "model_moduli": dict.fromkeys(
-        ("point load", "disc, neo-hooke", "disc, neo-hooke, no pressure", "disc, hooke",
-         "disc, hooke, no pressure"), MPa),
-    "given": {"thickness": um, "probe_half_width": um, "poisson_ratio": NUMBER},
-}  # fmt: skip
-LAWS = {
-    "embryo.GaussianSum": Row(
-        lambda u: {
-            "amplitudes": HILLS[0] * u.px, "centers": u.x0 + HILLS[1] * u.px,
-            "widths": HILLS[2] * u.px, "domain": tuple(DOMAIN * u.px + u.x0),
-        },
-        SUM,
-    ),
-    **{
-        f"embryo.GaussianSum.{name}": Row(
-            lambda u: {"self": hills(u), "x": u.x0 + np.array([30.0, 77.0]) * u.px}, unit
-        )
-        for name, unit in (("__call__", px), ("slope", NUMBER), ("second_derivative", 1 / px))
+def rough(s: float = 1.0, px: float = 1.0, t0: float = 3.7, x0: float = 12.0) -> dict:
+    y = x0 + np.random.default_rng(1).normal(0, 3, 40)
+    return {"x": (t0 + np.arange(40.0) ** 1.1) * s, "y": y * px, "span": 0.4, "degree": 1}
+
+
+#: A valid call of each function.
+CALLS = {
+    GaussianSum: lambda: {
+        name: getattr(hills(), name) for name in ("amplitudes", "centers", "widths", "domain")
     },
+    GaussianSum.__call__: lambda: {"self": hills(), "x": np.array([42.0, 89.0])},
+    GaussianSum.slope: lambda: {"self": hills(), "x": np.array([42.0, 89.0])},
+    GaussianSum.second_derivative: lambda: {"self": hills(), "x": np.array([42.0, 89.0])},
+    GaussianSum.extrema: lambda: {"self": hills()},
+    dimple_geometry: lambda: {"curve": hills(), "pixel_size": 3.9, "rim": "right"},
+    embryo.dimple_from_outline: lambda: {"x": ACROSS.copy(), "y": DENTED, "pixel_size": 3.9},
+    embryo.fit_gaussians: noisy,
+    embryo.loess: rough,
+    extract_boundary: lambda: {"image": EGG.copy(), "direction": "top"},
+    embryo.Boundary.without_probe: lambda: {"self": small_outline(), "image": EGG.copy()},
+    fit_dimple: lambda: {
+        "boundary": small_outline(),
+        "pixel_size": 7.75,
+        "probe_half_width": 25.0,
+    },
+    modulus_from_image: lambda: {
+        "image": EGG.copy(),
+        "force": 143.0,
+        **SIZES,
+        "poisson_ratio": 0.31,
+        "pixel_size": 7.75,
+        "direction": "top",
+    },
+}
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+PIXEL = [*BROKEN, 0, -1]
+#: What is refused in place of each argument.
+REFUSED = {
+    GaussianSum: {
+        **dict.fromkeys(("amplitudes", "centers"), no_array),
+        "widths": lambda valid: [*no_array(valid), 0 * valid, -valid],
+        "domain": lambda valid: [*no_array(valid), (1, 1)],
+    },
+    **{
+        function: {"x": not_finite}
+        for function in (GaussianSum.__call__, GaussianSum.slope, GaussianSum.second_derivative)
+    },
+    dimple_geometry: {
+        "rim": NO_TEXT,
+        "pixel_size": PIXEL,
+        "curve": [GaussianSum([9.0], [0.0], [5.0], domain=(-9, 9))],
+    },
+    embryo.dimple_from_outline: {
+        "x": lambda valid: [*no_array(valid), valid[:5]],
+        "y": no_array,
+        "pixel_size": PIXEL,
+    },
+    embryo.fit_gaussians: {
+        "x": lambda valid: [*no_array(valid), np.full(60, 2.0), valid[:5]],
+        "y": no_array,
+        "terms": [*NO_COUNT, 21],
+    },
+    embryo.loess: {
+        "x": lambda valid: [*no_array(valid), np.ones(40), np.repeat([0.0, 1.0], 20)],
+        "y": no_array,
+        "span": [*NOT_POSITIVE, 1.2, 0.02],
+        "degree": [*NO_COUNT, 3],
+    },
+    extract_boundary: {"image": no_array, "direction": NO_TEXT},
+    embryo.Boundary.without_probe: {"image": no_array},
+    fit_dimple: {"pixel_size": PIXEL, "probe_half_width": [*NOT_POSITIVE, 8.0, 45.0]},
+    modulus_from_image: {
+        "image": no_array,
+        "direction": NO_TEXT,
+        "force": [*NEGATIVE, 150e-6],  # in N
+        "thickness": [*NOT_POSITIVE, 3e-6],  # in m
+        "pixel_size": [*PIXEL, 3.9e-6],
+        "probe_half_width": [*NOT_POSITIVE, 45.0],
+        "poisson_ratio": [*NEGATIVE, 0.6],
+    },
+}
+
+
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function], exact=("poisson_ratio",), undecided=0.002)
+
+
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
+
+
+@pytest.mark.parametrize(("px", "x0"), [(0.6, 12.0), (1.0, 43.0)])
+def test_curves_and_their_dimples_follow_unit_and_origin(px, x0):
+    def there(x):
+        return px * (x + x0 - 12.0)
+
+    found, plain, x = hills(px, x0), hills(), np.array([42.0, 89.0])
+    by = {"amplitudes": px, "centers": there, "widths": px, "domain": there}
+    hold_scaled(found, plain, **by)
+    np.testing.assert_allclose(found(there(x)), px * plain(x))
+    np.testing.assert_allclose(found.slope(there(x)), plain.slope(x))
+    np.testing.assert_allclose(found.second_derivative(there(x)), plain.second_derivative(x) / px)
     # Roots are found to 1e-12 of x, which is large for a distant origin.
-    "embryo.GaussianSum.extrema": Row(
-        lambda u: {"self": hills(u)}, px.counted_from("x0"), within=1e-8
-    ),
-    "embryo.dimple_geometry": Row(
-        lambda u: {"curve": hills(u), "pixel_size": 3.9 * u.um / u.px, "rim": "right"},
-        GEOMETRY,
-        within=1e-6,
-    ),
-    "embryo.dimple_from_outline": TestedBy(
-        test_outline.test_dimple_does_not_depend_on_order_origin_and_unit
-    ),
-    "embryo.read_outline": TestedBy(test_outline.test_read_outline_accepts_common_forms),
+    hold_scaled(found.extrema(), plain.extrema(), there, within=1e-8)
     # The search ends at a relative change of 1e-8 of its sum of squares, most of which is noise.
-    "embryo.fit_gaussians": Row(
-        lambda u: {
-            "x": u.x0 + np.arange(60.0) * 3.3 * u.px,
-            "y": hills(u)(u.x0 + np.arange(60.0) * 3.3 * u.px)
-            + np.random.default_rng(0).normal(0, 0.1, 60) * u.px,
-            "terms": 2,
-        },
-        SUM,
-        within=1e-3,
-    ),
-    "embryo.loess": Row(
-        lambda u: {
-            "x": u.t0 + np.arange(40.0) ** 1.1 * u.s,
-            "y": u.x0 + np.random.default_rng(1).normal(0, 3, 40) * u.px,
-            "span": 0.4, "degree": 1,
-        },
-        px.counted_from("x0"),
-    ),
-    "embryo.extract_boundary": Row(
-        lambda u: {"image": EGG * (0.6 * u.grey), "direction": "top"},
-        {
-            **dict.fromkeys(("x", "y", "uncertainty", "blur", "points"), NUMBER),
-            **dict.fromkeys(("under_probe", "image_height", "rotation"), SAME),
-            "probe": dict.fromkeys(("tip", "slope", "half_width", "taper"), NUMBER),
-        },
-        within=1e-4,  # grey levels in single precision
-    ),
-    "embryo.fit_dimple": Row(
-        lambda u: {
-            "boundary": fuzz.outline(), "pixel_size": 7.75 * u.um, "probe_half_width": 25.0 * u.um
-        },
-        FIT,
-        within=1e-6,
-    ),
+    fitted = [embryo.fit_gaussians(**noisy(px=px, x0=x0)), embryo.fit_gaussians(**noisy())]
+    hold_scaled(*fitted, **by, within=1e-3)
+    um = 1.7
+    found = dimple_geometry(found, pixel_size=3.9 * um / px, rim="right")
+    plain = dimple_geometry(plain, pixel_size=3.9, rim="right")
+    places = {
+        name: (there(getattr(plain, name)[0]), px * getattr(plain, name)[1])
+        for name in ("rim", "bottom")
+    }
+    sizes = {"rim_radius": um, "dimple_depth": um, "covariance": um**2}
+    hold_scaled(found, replace(plain, **places), within=1e-6, **sizes)
+
+
+def test_loess_follows_units_and_origins_of_x_and_y():
+    wanted = 0.6 * (embryo.loess(**rough()) + 31.0)
+    np.testing.assert_allclose(embryo.loess(**rough(2.3, 0.6, 15.6, 43.0)), wanted)
+
+
+@pytest.mark.parametrize("gain", [1 / 255, 257.0])
+def test_outline_is_the_same_in_other_grey_levels(gain):
+    # Grey levels in single precision.
+    plain = extract_boundary(0.6 * EGG)
+    hold_scaled(extract_boundary(0.6 * gain * EGG), plain, within=1e-4)
+
+
+def test_dimple_and_modulus_follow_units_of_length_and_force():
+    um, uN = 1.7, 0.45
+    fit = partial(fit_dimple, small_outline())
+    lengths = dict.fromkeys(("rim_radius", "dimple_depth", "pixel_size", "probe_half_width"), um)
+    dimple = {**lengths, "covariance": um**2, "rim_curvatures": 1 / um}
+    found = fit(pixel_size=7.75 * um, probe_half_width=25.0 * um)
+    hold_scaled(found, fit(pixel_size=7.75, probe_half_width=25.0), within=1e-6, **dimple)
+    given = CALLS[modulus_from_image]()
+    moduli = dict.fromkeys(("modulus", "model_moduli", "model_interval"), uN / um**2)
+    sizes = {name: um * given[name] for name in ("pixel_size", *SIZES)}
+    found = modulus_from_image(**given | sizes | {"force": 143.0 * uN})
+    assumed = {"thickness": um, "probe_half_width": um}
     # Models are solved to 1e-6.
-    "embryo.modulus_from_image": Row(
-        lambda u: {"image": EGG, "force": 143.0 * u.uN, **film(u)}, ESTIMATE, within=1e-5
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+    plain = modulus_from_image(**given)
+    hold_scaled(found, plain, within=1e-5, force=uN, dimple=dimple, given=assumed, **moduli)
 
 
 def test_model_interval_is_range_of_models_widened_by_uncertainty_of_outline():
@@ -158,7 +217,7 @@ def test_model_interval_is_range_of_models_widened_by_uncertainty_of_outline():
 @pytest.mark.parametrize(
     ("make", "uses"),
     [
-        (lambda: hills(Units()), [lambda s: s.extrema(), lambda s: s(4.0), lambda s: s("four"),
+        (lambda: hills(), [lambda s: s.extrema(), lambda s: s(4.0), lambda s: s("four"),
                        lambda s: dimple_geometry(s, pixel_size=3.9)]),
         (lambda: extract_boundary(EGG), [lambda s: s.without_probe(EGG), lambda s: s.points,
             lambda s: s.without_probe("image"), lambda s: s.probe.axis(12.0),
@@ -169,8 +228,6 @@ def test_model_interval_is_range_of_models_widened_by_uncertainty_of_outline():
     ids=["sum", "outline", "estimate"],
 )  # fmt: skip
 def test_results_do_not_depend_on_earlier_use(make, uses):
-    """In either order, also after a rejected call; the caller's image is not changed."""
-    image = EGG.copy()
+    """In either order, also after a rejected call."""
     for before in (uses, uses[::-1]):
         hold_same_as_new(make, before[0], *before[1:], *before[:1])
-    np.testing.assert_array_equal(EGG, image)

@@ -177,7 +177,7 @@ def no_jacobian(valid):
 
 
 def no_weight(valid):
-    return [*no_array(valid), (0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]]]
+    return [*no_array(valid), (0.9, 0.0), [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.2], [0.1, 1.0]]]
 
 
 #: What is refused in place of each argument.
