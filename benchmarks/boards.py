@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tests.scenes.photographs import pictures, texture
 from benchmarks.report import Limits, Tables, rms
 from microlib.calibration import calibrate, detect_circles, detect_squares
 from microlib.microscope import euler_rotation
+from tests.scenes.photographs import pictures, texture
 
 WIDTH, HEIGHT, FINE, PITCH = 480, 360, 5, 30.0
 COUNTS = (9, 7)

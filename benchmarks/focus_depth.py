@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tests.scenes.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.rendering import blended, disc, expose
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from tests.scenes.photographs import middle, photograph
 
 #: Side of a frame and border that is left out, px; number of frames, 1 µm apart; seeds, none of
 #: which was used while constants were chosen.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tests.scenes.photographs import photograph
 from tests.scenes import camera_frame
+from tests.scenes.photographs import photograph
 
 Array = NDArray[np.float64]
 

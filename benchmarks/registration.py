@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tests.scenes.photographs import middle, photograph
 from benchmarks.report import Limits, Tables, rms
 from compendium.experiments.rendering import blended, disc
 from microlib import synthetic
 from microlib.focus import depth_from_focus
+from tests.scenes.photographs import middle, photograph
 
 #: Frames of every stack, 1 µm apart; the disc's radius grows by 1.5 px a frame.
 COUNT, RATE = 21, 1.5
