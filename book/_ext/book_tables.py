@@ -12,6 +12,8 @@ from sphinx.config import Config
 
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
+#: The index of a symbol of one letter.
+SYMBOL_INDEX = re.compile(r"(?<=\b[A-Za-zσ])_(op|\w)\b")
 
 
 def table(head: list[str], rows: list[list], *, ids: list[str] | None = None) -> nodes.table:
@@ -58,7 +60,11 @@ def section(name: str, title: str) -> nodes.section:
 
 
 def line(text: str, kind: str = "") -> nodes.paragraph:
-    return nodes.paragraph(text, text, classes=[kind] if kind else [])
+    """Return a paragraph; without a kind, the index of a symbol such as T_z is set as one."""
+    result = nodes.paragraph(text, "", classes=[kind] if kind else [])
+    for k, part in enumerate([text] if kind else SYMBOL_INDEX.split(text)):
+        result += nodes.subscript(part, part) if k % 2 else nodes.Text(part)
+    return result
 
 
 def span(text: str, kind: str) -> nodes.inline:

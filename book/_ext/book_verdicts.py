@@ -254,7 +254,7 @@ class LedgerTable(SphinxDirective):
         found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
         rests = grounds(claim)
         if short:
-            rests = [line(re.split(r"(?<=\.) (?=[A-Z])", rests[0].astext())[0])]
+            rests = [line(re.split(r"(?<=\.) (?=[A-Z])", rests[0].rawsource)[0])]
         return [told, number, found, claim_link(self.env, claim), rests]
 
 
