@@ -44,6 +44,7 @@ GRID = "calibrate circles.png --pitch 0.28mm --pixel-pitch 9.9um --focal-length 
 OUTLINE = f"modulus outline.csv --force 10 --force-uncertainty 3 {MODULUS}"
 
 POINTS = pd.read_csv(INPUTS / "outline.csv")
+NUMBERS = ["value", "uncertainty", "low", "high"]
 pytestmark = pytest.mark.filterwarnings("ignore::microlib.membrane.SmallSlopeWarning")
 
 
@@ -66,9 +67,9 @@ def figures(monkeypatch):
     return seen
 
 
-def hold_alike(found: object, wanted: object) -> None:
-    """Compare numbers that were written with ten digits or more."""
-    assert not [*unlike(wanted, found, within=1e-7)]
+def hold_alike(found: object, wanted: object, within: float = 1e-7) -> None:
+    """Compare numbers that were written with ten digits or more, by default."""
+    assert not [*unlike(wanted, found, within=within)]
 
 
 @pytest.mark.parametrize(
@@ -305,7 +306,12 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
     hold_alike(camera, json.loads(result.to_json()))
     table = pd.read_csv(tmp_path / "out" / "camera.csv", index_col="parameter")
     table = table.fillna({"unit": ""})  # of the magnification
-    hold_alike(table, result.to_frame().astype(table.dtypes))
+    exact = result.to_frame().astype(table.dtypes)
+    step = exact["uncertainty"].replace([0, np.inf], np.nan) / 100  # of three digits or more
+    np.testing.assert_array_less(
+        (table[NUMBERS] - exact[NUMBERS]).abs().div(step, axis=0).fillna(0), 0.51
+    )
+    hold_alike(table.drop(columns=NUMBERS), exact.drop(columns=NUMBERS))
     pairs = zip(found, photos, strict=True)
     tables = pd.concat([each.to_frame().assign(photo=str(photo)) for each, photo in pairs])
     points = pd.read_csv(tmp_path / "out" / "points.csv")
@@ -399,7 +405,8 @@ def test_advice_depends_on_the_calibration(
         **changed,
         **shown,
     }
-    own["um_per_pixel"] = Namespace(high=own["high"])
+    own["um_per_pixel"] = Namespace(value=0.9, high=own["high"])
+    own["to_frame"] = lambda: pd.DataFrame([[0.9, 0.1, 0.7, 1.1]], columns=NUMBERS)
     ends = [np.array([[30, 40], [30 + n, 40 + 2 * n]]) for n in (side, *[0] * (views - 1))]
     grids = [
         Namespace(points=each, positions=each, image_size=(400, 100), **shown) for each in ends
@@ -447,7 +454,7 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
     table = pd.read_csv(out, index_col="frame")
     wanted = tracking.track_all(frames, (60, 60, 49, 49), **options)
     assert [*table] == [*wanted]
-    hold_alike(table.fillna({"reason": ""}), wanted.astype(table.dtypes))
+    hold_alike(table.fillna({"reason": ""}), wanted.astype(table.dtypes), 1e-6)
     (look,) = figures[0].axes[0].images
     np.testing.assert_allclose(look.get_array(), 255 * (frames[0] / frames[0].max()), atol=4)
     if "--video" not in line:
@@ -578,21 +585,20 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
         moduli = membrane.model_moduli(**values)
         wide = np.array([min(moduli.values()), max(moduli.values())]) / moduli.pop("point load")
         over = found[[f"{prefix}modulus_{end}_over_models_MPa" for end in ("low", "high")]]
-        np.testing.assert_allclose(over, wide * ends, rtol=1e-6)
+        np.testing.assert_allclose(over, wide * ends, rtol=2e-4)  # of five digits
         for model, other in moduli.items():
             column = model.replace(", ", "_").replace("-", "_").replace(" ", "_")
             assert found[f"{prefix}{column}_MPa"] == pytest.approx(other, rel=1e-4)
         every.extend(over)
         others = f"{min(moduli.values()):.2g} to {max(moduli.values()):.2g} MPa by 4 others"
-        words = f"{Estimate(modulus, uncertainty, *ends, 'MPa')} by (5.2), {others}"
+        estimate, _, _ = str(Estimate(modulus, uncertainty, *ends, "MPa")).partition(":")
         a, w = (f"{values[name]:.1f} ± {stds[name]:.1f} µm" for name in [*values][-2:])
-        words = f"{rim} rim{', as in the thesis' * (rim == 'left')}: {words}\na = {a}, w_d = {w}"
-        assert words in printed
-        assert words in title
+        assert f"{rim} rim{', as in the thesis' * (rim == 'left')}: {estimate}: " in printed
+        assert f" by (5.2), {others}\na = {a}, w_d = {w}" in printed
         points[f"{rim} rim"] = dimple.rim
     headline = f"E = {min(every):.2g} to {max(every):.2g} MPa over all models and both rims"
     assert [line for line in printed.splitlines() if line.startswith("E ")] == [headline]
-    assert title.splitlines()[0] == headline
+    assert title == headline
     drawn = {line.get_label(): line.get_data() for line in figures[0].axes[0].lines}
     for name, at in points.items():
         np.testing.assert_allclose(np.squeeze(drawn[name]), at, rtol=1e-4)
@@ -632,8 +638,23 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
     ("line", "message"),
     [
         # A scale that is missing, has another unit, or is out of range.
-        ("depth focal_stack.tif --spacing 25", "give --pixel-size µm"),
-        ("depth focal_stack.tif", "give --spacing µm, --pixel-size µm"),
+        ("depth focal_stack.tif --max-uncertainty 5", "--max-uncertainty is in µm: give --spacing"),
+        (f"{STACK} --spacing 0.025 mm", "no blank between them, as in 0.5mm"),
+        (f"{STACK} --spaceing 25", "unknown --spaceing: did you mean --spacing?"),
+        ("track frames.tif --box 30,40,40,40", "with blanks between them, as in 30 40 64 64"),
+        (f"track circles.png {BOX}", "circles.png must hold two frames or more, got 1"),
+        # A scale that no microscope has, and the unit that makes it possible.
+        (GRID.replace("0.28mm", "0.28"), "give a magnification of 1589, and a microscope has"),
+        ("calibrate circles.png --pitch 0.28", "gives 0.00623 µm per pixel"),
+        ("calibrate circles.png --pitch 0.28", "did you mean --pitch 0.28mm?"),
+        ("calibrate circles.png --pitch 0.28m", "did you mean --pitch 280000nm?"),
+        (GRID.replace("126150", "126.15"), "got 126.15: did you mean 126.15mm?"),
+        (GRID.replace("9.9um", "9900"), "got 9900: did you mean 9900nm?"),
+        (f"{OUTLINE} --force 1e-5", "got 1e-05: did you mean 1e-05mN or 1e-05N?"),
+        (f"{OUTLINE} --thickness 3e-3", "--thickness must be between 0.005 and 10000 µm"),
+        (f"{OUTLINE} --force 9e5 --thickness 0.006", "modulus must be between"),
+        (f"{STACK} --pixel-size 0.006", "got 0.006: did you mean 0.006mm/px?"),
+        (f"track frames.tif {BOX} --pixel-size 50800", "got 50800: did you mean 50800nm/px?"),
         ("calibrate circles.png", "microlib calibrate: no scale is in the file: give --pitch µm"),
         (GRID.replace("circles", "none"), "none.png: no such file"),
         ("calibrate circles.png --marks micrometer", "give --division µm"),
@@ -646,7 +667,10 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ),
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
-        (f"{STACK} --spacing 0", "positions must rise or fall strictly"),
+        (
+            f"{STACK} --spacing 0",
+            "--spacing must be between 0.02 and 10000 µm in any experiment, got 0",
+        ),
         ("calibrate circles.png --pitch 280 --focal-length 126150", "give --pixel-pitch µm"),
         (
             "calibrate circles.png --pixel-pitch=-1.25 --pitch 280",
@@ -662,7 +686,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         (f"{STACK} --time 1", "--time must be left out for frames without"),
         ("track frames.tif --box 0 0 5 40", "track: --box width must be at least 6, got 5"),
         (f"track frames.tif {BOX} --channel 2", "--channel must be left out for frames without"),
-        (f"track frames.tif {BOX} --color", "unrecognized arguments: --color"),
+        (f"track frames.tif {BOX} --color", "unknown --color"),
         (f"track frames.tif {BOX} --mask no.png", "--mask must name an image, got no.png: no such"),
         # A source that is not there, or shows something else.
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
@@ -701,16 +725,40 @@ def test_given_uncertainties_are_printed(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("line", "given"),
+    ("given", "note"),
     [
-        (OUTLINE.replace("--force-uncertainty 3", "--force-uncertainty 0"), "--force 1e-05"),
-        (f"track frames.tif {BOX}", "--pixel-size 50800"),
-        (f"track frames.tif {BOX}", "--pixel-size 0.006"),
+        ("--spacing 0.025 --pixel-size 3.9", "is 0.0064 pixels of 3.9 µm, where 2 to 50 are usual"),
+        ("--spacing 9000 --pixel-size 3.9", "is 2.3e+03 pixels of 3.9 µm"),
+        ("--spacing -25 --pixel-size 3.9", "the spacing is negative: each frame is focused lower"),
+        ("--spacing 25 --pixel-size 3.9", ""),
+        ("--spacing 25", "the maps have no scale, no mesh is written: give --pixel-size"),
+        ("--pixel-size 3.9", "heights are in frames, no mesh is written: give --spacing"),
+        (
+            "",
+            "heights are in frames, the maps have no scale, no mesh is written: give --spacing and",
+        ),
     ],
 )
-def test_unusual_scale_gives_a_note(line, given, tmp_path, capsys):
-    assert status(f"{line} {given}", tmp_path / "out.csv") == 0
-    assert f"note: {given} is unusual under a microscope" in capsys.readouterr().err
+def test_scale_of_a_stack_that_is_unknown_or_unlikely_is_noted(given, note, tmp_path, capsys):
+    assert status(f"depth focal_stack.tif {given}", tmp_path, "") == 0
+    printed = capsys.readouterr()
+    assert note in printed.err
+    assert printed.err.count("note: ") == bool(note)
+    known = {"µm": "--spacing" in given, "frames": "--spacing" not in given}
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    with tifffile.TiffFile(tmp_path / "height.ome.tif") as file:
+        heights, about = file.asarray(), file.ome_metadata
+    for unit, used in known.items():
+        assert (unit in printed.out.split("FocusResult")[1]) == used
+        assert (f"heights in {unit}" in about) == used
+        assert (summary["unit"] == unit) == used
+    assert ("PhysicalSizeX" in about) == ("--pixel-size" in given)
+    assert (tmp_path / "surface.ply").exists() == ("no mesh" not in note)
+    if not note:
+        return
+    truth = tifffile.imread(INPUTS / "height_um.tif") / 25 + 2  # the third frame is at 0
+    found = heights / (summary["spacing"] or 1)
+    assert np.nanmedian(np.abs(found - truth)) < 0.05  # frames
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,8 @@ def mapped(pixel_size):
 
 @pytest.mark.parametrize(("pixel_size", "unit"), [(3.9, "µm"), (None, "frames"), (350.0, "µm")])
 def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
-    found = mapped(pixel_size)
-    sharp, height, error, *bars = found.plot(unit=unit).axes
+    found = replace(mapped(pixel_size), unit=unit)
+    sharp, height, error, *bars = found.plot().axes
     hold_photograph(sharp, found.all_in_focus)
     given = {"height": found.depth, "uncertainty": found.uncertainty}
     for ax, bar, (name, values) in zip((height, error), bars[::-1], given.items(), strict=True):
@@ -71,7 +71,7 @@ def test_maps_show_values_with_unit_and_scale(pixel_size, unit):
         assert length == pytest.approx(float(value) * {"µm": 1, "mm": 1000}[of])
         assert length == pytest.approx(largest_round(pixel_size * 52 / 4))
     own, ax = pyplot.subplots()
-    assert found.plot(ax, unit=unit) is own
+    assert found.plot(ax) is own
     assert [len(each.images) for each in own.axes] == [1, 0]  # the height with its color bar
 
 
@@ -181,13 +181,13 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     hold_photograph(way, image)
     middle = starts + np.array([9.5, 4.5])
     gaps = np.where(lost[:, None], np.nan, middle)
-    wanted = (gaps, box[[0, 1, 2, 3, 0]] + starts[1], gaps[-1:])
+    wanted = (gaps, *(box[[0, 1, 2, 3, 0]] + start for start in (starts[-1], starts[1])))
     for line, points in zip(way.lines, wanted, strict=True):
         np.testing.assert_array_equal(line.get_xydata().astype(float), points)
     # Twice the box's sides are seen about the way, inside the frame.
     assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
     assert way.get_ylim() == (middle[1, 1] + 18, -0.5)
-    assert way.get_title() == "path, lost in 28.6 % of the frames"
+    assert way.get_title() == "path on the first frame, lost in 28.6 % of the frames"
     time = k / 8 if timed else k
     moves = 1.7 * (gaps - middle[0]) if micrometers else gaps - middle[1]
     for line, values in zip(against.lines, moves.T, strict=False):

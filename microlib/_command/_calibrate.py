@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from microlib._command import _objectives
 from microlib._command._options import add_scales, detect_each, photographs, resolve_scales
-from microlib._command._session import End, Session, picture, text
+from microlib._command._session import End, Session, picture, rounded, text
+from microlib._common import PHYSICAL_RANGES
 
 #: Names of the files that it writes.
 FILES = ("camera.csv", "camera.json", "points.csv", "look.png", *_objectives.FILES)
@@ -70,6 +71,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
         for photo in [list(views)[view] for view in inconsistent]:
             views.pop(photo)
             session.note(f"left out {photo}: it shows another pattern or lens than the others")
+    size, (_, least, most) = result.um_per_pixel.value, PHYSICAL_RANGES["pixel_size"]
+    if not least <= size <= most:
+        meant = f"{a.pitch:g}{'mm' if size < least else 'nm'}"
+        raise ValueError(
+            f"--pitch {a.pitch:g} µm gives {size:.3g} µm per pixel, and a microscope has {least:g} "
+            f"to {most:g}: did you mean --pitch {meant}?"
+        )
     images = [image for image, _ in views.values()]
     _advise(session, result, views, a.focal_length is not None)
     camera = result.to_json()
@@ -83,7 +91,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write(
         "points.csv", text(pd.concat(tables).set_index("photo").to_csv(lineterminator="\n"))
     )
-    session.write("camera.csv", text(result.to_frame().to_csv(lineterminator="\n")))
+    table = rounded(result.to_frame())
+    session.write("camera.csv", text(table.to_csv(lineterminator="\n")))
     session.write("camera.json", text(camera))
     session.write("look.png", picture(partial(result.plot, found=detections, images=images)))
     session.say(result)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import re
 import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
 import microlib
 from microlib._command import _calibrate, _depth, _modulus, _track
-from microlib._command._session import End, Session, explain
+from microlib._command._session import End, Session, explain, option
 from microlib._common import ArgumentError, home_path
 
 #: Each has its `FILES`, `add_options` and `run`.
@@ -33,6 +35,10 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors have one line."""
 
     def error(self, message: str) -> NoReturn:
+        if message.startswith("argument TASK"):
+            message = f"the first word must be a task: {', '.join(_TASKS)}; options follow it"
+        if message.endswith("expected 4 arguments"):
+            message += ", with blanks between them, as in 30 40 64 64"
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}\n")
 
 
@@ -45,7 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     logging.getLogger("tifffile").addHandler(logging.NullHandler())
     parser = _parser()
-    a = parser.parse_args(arguments)
+    a, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        parser.error(_advice(unknown[0], a))
     if a.task is None:
         parser.print_help()
         return 0
@@ -71,6 +79,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for note in notes:  # last, where they are seen
         print(" ".join(note.split()), file=sys.stderr)
     return end.status
+
+
+def _advice(unknown: str, a: argparse.Namespace) -> str:
+    """Return what is wrong with a word that no option takes."""
+    if re.fullmatch(r"[nuµμmc]?[mN](/px)?", unknown):
+        return f"a number and its unit have no blank between them, as in 0.5{unknown}"
+    near = get_close_matches(unknown.split("=")[0], [option(name) for name in vars(a)], 1)
+    return f"unknown {unknown}" + "".join(f": did you mean {name}?" for name in near)
 
 
 def _output_files(names: Sequence[str], out: Path, overwrite: bool) -> dict[str, Path]:

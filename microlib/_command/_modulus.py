@@ -12,7 +12,7 @@ import numpy as np
 
 from microlib._command._options import add_scales, resolve_scales
 from microlib._command._session import End, Session, picture, text
-from microlib._common import as_scalar, home_path
+from microlib._common import as_physical, as_scalar, home_path
 
 #: Names of the files that it writes.
 FILES = ("table", "look.png")
@@ -69,25 +69,31 @@ def run(a: argparse.Namespace, session: Session) -> End:
         session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
     least, most = (f"modulus_{end}_over_models_MPa" for end in ("low", "high"))
     ends = min(left[least], right[least]), max(left[most], right[most])
-    summary = (
-        f"E = {ends[0]:.2g} to {ends[1]:.2g} MPa over all models and both rims\n"
-        f"left rim, as in the thesis: {left_text}\nright rim: {right_text}"
-    )
-    session.say(summary)
+    headline = f"E = {ends[0]:.2g} to {ends[1]:.2g} MPa over all models and both rims"
+    session.say(f"{headline}\nleft rim, as in the thesis: {left_text}\nright rim: {right_text}")
     result = left | {f"right_{name}": value for name, value in right.items()}
-    lines = ["quantity,value", *(f"{name},{value:.10g}" for name, value in result.items()), ""]
-    session.write("table", text("\n".join(lines)))
+    lines = [f"{name},{value:.5g},{_unit(name)}" for name, value in result.items()]
+    session.write("table", text("\n".join(["quantity,value,unit", *lines, ""])))
     points = {"left rim": measured.left.rim, "bottom": measured.left.bottom}
     points["right rim"] = measured.right.rim
     dense = np.linspace(*measured.curve.domain, 1000)
     curve = np.stack([dense, measured.curve(dense)])
-    drawn = partial(outline, measured.x, measured.y, curve, points, summary)
+    drawn = partial(outline, measured.x, measured.y, curve, points, headline)
     session.write("look.png", picture(drawn))
     session.say(
         "The table has the modulus by each model, the interval of (5.2), and the values that they "
         "were computed from. The guide to the modulus says which model suits which dimple."
     )
     return End()
+
+
+def _unit(quantity: str) -> str:
+    """Return the unit of a row of the table."""
+    if quantity.endswith("_MPa"):
+        return "MPa"
+    lengths = "thickness", "probe_half_width", "rim_radius", "dimple_depth"
+    base = quantity.removeprefix("right_").removesuffix("_uncertainty")
+    return "µN" if base == "force" else "µm" * (base in lengths)
 
 
 def _estimate(
@@ -100,7 +106,7 @@ def _estimate(
     values = values | {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     radius, depth = np.sqrt(np.diag(dimple.covariance)).tolist()
     uncertainties = uncertainties | {"rim_radius": radius, "dimple_depth": depth}
-    value = float(membrane.elastic_modulus(**values))
+    value = as_physical("modulus", membrane.elastic_modulus(**values))
     samples = membrane.modulus_samples(values, uncertainties, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
     uncertainty = membrane.modulus_uncertainty(values, uncertainties)

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from microlib._command._options import detect_each, photographs, resolve_scales
-from microlib._command._session import End, Session, picture, text
+from microlib._command._session import End, Session, picture, rounded, text
 
 #: Names of the files that it writes, beside a picture.
 FILES = ("objectives.csv", "micromanager.txt", "imagej.ijm")
@@ -43,7 +43,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
         index=pd.Index(sizes, name="objective"),
     ).assign(lines=[len(scale.points) for scale in scales.values()])
     digits = {name: f"{size.value:.7g}" for name, size in sizes.items()}
-    session.write("objectives.csv", text(table.to_csv(lineterminator="\n")))
+    session.write("objectives.csv", text(rounded(table).to_csv(lineterminator="\n")))
     session.write("micromanager.txt", text(_micro_manager(digits)))
     session.write("imagej.ijm", text(_imagej(digits)))
     session.write("look.png", picture(partial(micrometers, scales, images)))

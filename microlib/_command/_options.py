@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from microlib._command._session import Session, option
-from microlib._common import PHYSICAL_RANGES, as_scalar, home_path
+from microlib._common import PREFIXES, as_physical, as_poisson_ratio, home_path
 
 if TYPE_CHECKING:
     from microlib.io import Stack
-
-#: Prefixes of a unit, relative to the micro-units of the library.
-_PREFIXES = {"n": 1e-3, "u": 1.0, "µ": 1.0, "μ": 1.0, "m": 1e3, "c": 1e4, "": 1e6}
 
 #: Unit and description of each scale.
 _SCALES = {
@@ -42,8 +39,6 @@ _SCALES = {
 }
 #: Options of a part of an image.
 BOX: dict[str, Any] = {"nargs": 4, "type": int, "metavar": ("X", "Y", "W", "H")}
-#: Scales that can be zero or negative.
-_SIGNED = ("spacing", "poisson_ratio")
 
 
 def add_scales(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -59,7 +54,7 @@ def _quantity(unit: str) -> Callable[[str], float]:
     def read(text: str) -> float:
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
         number = float(text[: own.start() if own else None])
-        return number * _PREFIXES[own[1]] if own else number
+        return number * PREFIXES[own[1]] if own else number
 
     read.__name__ = f"number in {unit}"  # as argparse calls it
     return read
@@ -76,14 +71,11 @@ def resolve_scales(
         raise ValueError(f"no scale is in the file: give {', '.join(missing)}")
     for name, value in scales.items():
         unit = _SCALES[name][0]
-        as_scalar(name, value, above=None if name in _SIGNED else 0)
         session.say(f"{name} {value:g} {unit} ({'given' if name in given else 'the file'})")
-        low, high = PHYSICAL_RANGES.get(unit, (0, 1))
-        if not low <= abs(value) <= high:
-            session.note(
-                f"{option(name)} {value:g} is unusual under a microscope, expected {low:g} to "
-                f"{high:g} {unit}; a number can have a unit, as 0.2mm"
-            )
+        if name == "poisson_ratio":
+            as_poisson_ratio(value)
+        else:
+            as_physical(name, value, signed=name == "spacing")
     return scales
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from math import floor, inf, log10
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from tqdm import tqdm
 
 from microlib._common import SOFTWARE, ArgumentError, replace_file
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Writes a file.
 Writer = Callable[[Path], object]
@@ -101,7 +105,7 @@ class Session:
             self.files[name].unlink(missing_ok=True)
         names = [file.name for name, file in self.files.items() if name in self.written]
         folder = next(iter(self.files.values())).parent
-        self.say(f"{folder}: {', '.join(names)}")
+        self.say(f"{'this folder' if folder == Path() else folder}: {', '.join(names)}")
 
 
 def explain(error: Exception, out: Path, options: Collection[str] = ()) -> str:
@@ -122,6 +126,20 @@ def option(name: str) -> str:
 def text(content: str) -> Writer:
     """Return a writer of a text file."""
     return lambda file: file.write_text(content, encoding="utf-8", newline="\n")
+
+
+def rounded(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of estimates, one in each row, with three digits of their uncertainty."""
+    columns = ["value", "uncertainty", "low", "high"]
+
+    def shorten(row: pd.Series) -> pd.Series:
+        uncertainty = row["uncertainty"]
+        if not 0 < uncertainty < inf:
+            return row
+        digits = 2 - floor(log10(uncertainty))
+        return row.map(lambda value: round(value, digits))
+
+    return table.assign(**table[columns].apply(shorten, axis=1))
 
 
 def picture(draw: Callable[[], Any]) -> Writer:

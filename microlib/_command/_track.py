@@ -45,6 +45,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
     from microlib import io, tracking
 
     frames = options.open_frames(a, session)
+    if frames.count == 1:
+        raise ValueError(f"{', '.join(a.source)} must hold two frames or more, got 1")
     size = frames.pixel_size if a.pixel_size is None else a.pixel_size
     if size is not None:
         options.resolve_scales(a, session, "pixel_size", pixel_size=frames.pixel_size)
@@ -68,10 +70,10 @@ def run(a: argparse.Namespace, session: Session) -> End:
         # Each row at once, so that a killed process leaves the rows so far.
         table = csv.DictWriter(file, rows[0], lineterminator="\n")
         table.writeheader()
-        table.writerow(rows[0])
+        table.writerow(_rounded(rows[0]))
         try:
             for row in bar:
-                table.writerow(row)
+                table.writerow(_rounded(row))
                 rows.append(row)
                 lost += row["lost"]
                 bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
@@ -100,6 +102,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
         remedy = "another --motion, a larger --box, or more frames per second"
         return End(4, f"{summary}: try {remedy}")
     return End()
+
+
+def _rounded(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row with seven digits, a ten-thousandth of a pixel in most images."""
+    return {
+        name: f"{value:.7g}" if isinstance(value, float) else value for name, value in row.items()
+    }
 
 
 def _write_film(frames: Any, track: Any, rate: float, path: Path) -> None:

@@ -26,6 +26,12 @@ from microlib._common._least_squares import (
     tukey_weights,
 )
 from microlib._common._noise import image_noise, saturation_level
-from microlib._common._quantities import MICROMETERS, PHYSICAL_RANGES, as_physical, as_poisson_ratio
+from microlib._common._quantities import (
+    MICROMETERS,
+    PHYSICAL_RANGES,
+    PREFIXES,
+    as_physical,
+    as_poisson_ratio,
+)
 from microlib._common._results import FlatResult, Result, flat_row
 from microlib._common._types import Array, Frames, Image, Region

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from microlib._plots._axes import new_axes, rounded_down, show_image
 
 
-def maps(result: Any, ax: Any = None, unit: str = "µm") -> Any:
+def maps(result: Any, ax: Any = None) -> Any:
     """Draw a FocusResult: all-in-focus image, height and uncertainty.
 
     With `ax` only the height is drawn. Lengths along the image are in px where the pixel size is
@@ -23,9 +23,9 @@ def maps(result: Any, ax: Any = None, unit: str = "µm") -> Any:
         show_image(axes[0], result.all_in_focus)
         axes[0].set_title("all in focus")
         uncertainty = np.asarray(result.uncertainty)
-        _map(axes[2], uncertainty, "magma", f"uncertainty ({unit})", logarithmic=True)
+        _map(axes[2], uncertainty, "magma", f"uncertainty ({result.unit})", logarithmic=True)
         ax = axes[1]
-    _map(ax, depth, "viridis", f"height ({unit})")
+    _map(ax, depth, "viridis", f"height ({result.unit})")
     if result.pixel_size:
         _scale_bar(ax, result.pixel_size, columns)
     return ax.figure

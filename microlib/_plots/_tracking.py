@@ -24,16 +24,18 @@ def path(table: Any, image: NDArray, ax: Any = None) -> Any:
     show_image(ax, image)
     # Frames in which the part was lost are gaps.
     ax.plot(*table[["center_x", "center_y"]].to_numpy(np.float64).T, color=FOUND, lw=1)
-    corners = seen.filter(like="corners_").iloc[0].to_numpy(np.float64).reshape(4, 2)
-    ax.plot(*corners[[0, 1, 2, 3, 0]].T, color=BESIDE)
-    ax.plot(*points[-1], "o", color=FOUND)
+    boxes = seen.filter(like="corners_").to_numpy(np.float64).reshape(-1, 4, 2)
+    for corners, color, name in ((boxes[-1], FOUND, "last"), (boxes[0], BESIDE, "first")):
+        ax.plot(*corners[[0, 1, 2, 3, 0]].T, color=color, label=f"{name} position")
+    ax.legend(loc="best")
     # A short path is shown enlarged, with twice the template's sides around it.
     near, ends = 2 * np.ptp(corners, axis=0), np.array(image.shape[1::-1]) - 0.5
     left, top = np.maximum(points.min(axis=0) - near, -0.5)
     right, bottom = np.minimum(points.max(axis=0) + near, ends)
     ax.set(xlim=(left, right), ylim=(bottom, top))
     share = table["lost"].mean()
-    ax.set_title(f"path{f', lost in {100 * share:.3g} % of the frames' if share else ''}")
+    lost = f", lost in {100 * share:.3g} % of the frames" if share else ""
+    ax.set_title(f"path on the first frame{lost}")
     return ax.figure
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_scalar
+from microlib._common import PHYSICAL_RANGES, Array, as_scalar
 from microlib.calibration._calibration import Calibration
 from microlib.calibration._detection import Detection
 from microlib.calibration._fit import (
@@ -193,6 +193,14 @@ def calibrate(
         if agree.all() or agree.sum() < 2:
             raise
         raise InconsistentViews(np.flatnonzero(~agree).tolist()) from fault
+    if pixel_pitch is not None:
+        magnification = fit.poses[0, POSE.index("magnification")]
+        _, least, most = PHYSICAL_RANGES["magnification"]
+        if not least <= magnification <= most:
+            raise ValueError(
+                f"pitch and pixel_pitch give a magnification of {magnification:.4g}, and a "
+                f"microscope has {least:g} to {most:g}: must both be in µm"
+            )
     return _build_result(photographs, fit, alone, agree, pixel_pitch is not None)
 
 

@@ -182,10 +182,10 @@ def modulus_from_image(
     >>> estimate.modulus.low < 1.2 < estimate.modulus.high, estimate.modulus.uncertainty < 0.06
     (True, True)
     """
-    load, size = as_physical("force", force, "µN"), as_physical("pixel_size", pixel_size, "µm/px")
+    load, size = as_physical("force", force), as_physical("pixel_size", pixel_size)
     given = {
-        "thickness": as_physical("thickness", thickness, "µm"),
-        "probe_half_width": as_physical("probe_half_width", probe_half_width, "µm"),
+        "thickness": as_physical("thickness", thickness),
+        "probe_half_width": as_physical("probe_half_width", probe_half_width),
         "poisson_ratio": as_poisson_ratio(poisson_ratio),
     }
     boundary = extract_boundary(image, direction=direction)

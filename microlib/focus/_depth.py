@@ -32,7 +32,7 @@ def depth_from_focus(
     frames: Frames,
     positions: ArrayLike | None = None,
     *,
-    spacing: float | None = None,
+    spacing: float | Literal["frame"] | None = None,
     measure: str | FocusMeasure = "multiscale",
     window: int | None = None,
     workers: int = 1,
@@ -54,8 +54,9 @@ def depth_from_focus(
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata.
-    spacing : float, optional
+    spacing : float or "frame", optional
         Distance between adjacent frames, µm, given instead of `positions`. The first frame is at 0.
+        Give "frame" if the distance is not known: depths are then in frames, not in µm.
     measure : {"multiscale", "sml"} or callable
         Focus measure. "multiscale" combines several focus measures; "sml" is the thesis'
         sum-modified-Laplacian. A callable takes a frame and returns a non-negative measure of the
@@ -84,7 +85,7 @@ def depth_from_focus(
     Returns
     -------
     FocusResult
-        Depth in µm with its uncertainty, and the all-in-focus image.
+        Depth in µm, or in frames, with its uncertainty, and the all-in-focus image.
 
     Raises
     ------
@@ -153,6 +154,7 @@ def depth_from_focus(
     >>> round(float(np.median(result.depth)))
     42
     """
+    unit, spacing = ("frames", 1.0) if spacing == "frame" else ("µm", spacing)
     single = single_measure(measure, window)
     threads = as_integer("workers", workers, least=1)
     report = progress or (lambda done, count: None)
@@ -189,6 +191,7 @@ def depth_from_focus(
         registration=registration,
         margin=margin,
         done=partial(finish, stages - 1),
+        unit=unit,
     )
 
 

@@ -60,6 +60,8 @@ class FocusResult(FlatResult):
     corner : (float, float)
         x and y of the middle of the first pixel, in pixels of the maps from where x and y of the
         frames are 0: not 0 of a region.
+    unit : {"µm", "frames"}
+        Unit of the depth and of its uncertainty.
     """
 
     depth: NDArray[np.float32]
@@ -73,6 +75,7 @@ class FocusResult(FlatResult):
     offset: Array | None = None
     pixel_size: float | None = None
     corner: tuple[float, float] = (0.0, 0.0)
+    unit: str = "µm"
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -81,12 +84,12 @@ class FocusResult(FlatResult):
         return size * self.corner[0], size * self.corner[1]
 
     def __repr__(self) -> str:
-        rows, cols = self.depth.shape
+        rows, columns = self.depth.shape
         numbers = self.to_dict()
-        text = f"FocusResult({rows}×{cols} px, {100 * numbers['known']:.1f} % known"
+        text = f"FocusResult({columns}×{rows} px, {100 * numbers['known']:.1f} % known"
         if numbers["known"]:
-            text += ", depth {depth_least:.4g} to {depth_largest:.4g} µm".format(**numbers)
-            text += ", uncertainty {uncertainty_median:.2g} µm".format(**numbers)
+            text += ", depth {depth_least:.4g} to {depth_largest:.4g} {unit}".format(**numbers)
+            text += ", uncertainty {uncertainty_median:.2g} {unit}".format(**numbers)
         return f"{text}{'' if self.warps is None else ', registered'})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -96,9 +99,9 @@ class FocusResult(FlatResult):
         -------
         dict
             ``rows`` and ``columns``; ``known``, the share of pixels that have a depth; least,
-            median and largest depth, median and largest uncertainty, µm, None where nothing is
-            known; ``at_end``, the share of pixels that are sharpest in an end frame;
-            ``registered``, whether the stack was registered.
+            median and largest depth, median and largest uncertainty, None where nothing is known;
+            ``unit``, that of these five; ``at_end``, the share of pixels that are sharpest in an
+            end frame; ``registered``, whether the stack was registered.
         """
         known = np.isfinite(self.depth)
         maps = (values[known] for values in (self.depth, self.uncertainty))
@@ -113,20 +116,19 @@ class FocusResult(FlatResult):
                 "depth_largest": depth.max(),
                 "uncertainty_median": np.median(error),
                 "uncertainty_largest": error.max(),
+                "unit": self.unit,
                 "at_end": self.at_end.mean(),
                 "registered": self.warps is not None,
             }
         )
 
-    def plot(self, ax: Any = None, *, unit: str = "µm") -> Any:
+    def plot(self, ax: Any = None) -> Any:
         """Draw the maps by Matplotlib: all in focus, height and uncertainty.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
             Where to draw the height alone; by default all three are panels of a new figure.
-        unit : str
-            What the positions of the frames were counted in, if not in µm.
 
         Returns
         -------
@@ -134,7 +136,7 @@ class FocusResult(FlatResult):
         """
         from microlib._plots import maps
 
-        return maps(self, ax, unit)
+        return maps(self, ax)
 
 
 def build_result(
@@ -145,6 +147,7 @@ def build_result(
     registration: Registration | None,
     margin: NDArray[np.bool_],
     done: Callable[[float], object],
+    unit: str,
 ) -> FocusResult:
     """Return a result; without depth are the pixels in a margin or outside of registered frames.
 
@@ -162,6 +165,8 @@ def build_result(
         Pixels that are in the black margin of some frame.
     done : callable
         Called with the share of the frames of which the all-in-focus image is made.
+    unit : str
+        Unit of the positions.
     """
     known, index = np.isfinite(found.depth), found.frame.astype(np.int32)
     warps = gain = offset = None
@@ -187,6 +192,7 @@ def build_result(
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
         corner=stack.corner,
+        unit=unit,
         warps=warps,
         gain=gain,
         offset=offset,

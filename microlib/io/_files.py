@@ -52,7 +52,7 @@ def write_height_tiff(
     path: str | PathLike[str],
     height: ArrayLike,
     *,
-    pixel_size: float,
+    pixel_size: float | None,
     what: str = "height in um",
 ) -> None:
     """Write a height map, or another map, as a TIFF with its pixel size.
@@ -66,8 +66,8 @@ def write_height_tiff(
         Heights, µm, or their uncertainties, frame numbers, grey levels or colors; NaN where
         unknown. Integers of 8 and 16 bits without and of 32 with a sign are kept, other types
         become float32.
-    pixel_size : float
-        Size of a pixel, in µm/px.
+    pixel_size : float or None
+        Size of a pixel, in µm/px; None if it is not known.
     what : str
         Description of the values in the file.
 
@@ -94,15 +94,18 @@ def write_height_tiff(
     rgb = values.ndim == 3
     shape = (None, None, 3) if rgb else (None, None)
     as_array("height", values, shape=shape, dtype=kept, finite=False)
-    # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
-    size = as_scalar("pixel_size", pixel_size, above=0, least=1e-5)
-    about: dict[str, Any] = {"description": f"{what}; pixel size {size:g} um".encode()}
+    about: dict[str, Any] = {"description": what.encode()}
+    sizes: dict[str, Any] = {}
+    if pixel_size is not None:
+        # The number of pixels in a centimeter fits into the 32 bits of a TIFF.
+        size = as_scalar("pixel_size", pixel_size, above=0, least=1e-5)
+        about["description"] += f"; pixel size {size:g} um".encode()
+        about |= {"resolution": 2 * (MICROMETERS["cm"] / size,), "resolutionunit": "CENTIMETER"}
+        for axis in "XY":
+            sizes |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "µm"}
     if Path(path).name.lower().endswith((".ome.tif", ".ome.tiff")):
-        sizes = {f"PhysicalSize{axis}": size for axis in "XY"}
-        units = {f"PhysicalSize{axis}Unit": "µm" for axis in "XY"}
-        axes = "YXS" if rgb else "YX"
-        about = {"metadata": {"axes": axes, **sizes, **units, "Name": what}}
-    about |= {"resolution": 2 * (MICROMETERS["cm"] / size,), "resolutionunit": "CENTIMETER"}
+        del about["description"]
+        about["metadata"] = {"axes": "YXS" if rgb else "YX", **sizes, "Name": what}
     about |= {"photometric": "rgb" if rgb else "minisblack", "software": SOFTWARE}
     replace_file(path, lambda file: tifffile.imwrite(file, values, **about))
 

@@ -461,7 +461,7 @@ def check_inputs(
 
 def warn_if_implausible(modulus: ArrayLike) -> None:
     """Warn of a modulus outside the range of materials, as lengths in mm or forces in N give."""
-    lowest, highest = PHYSICAL_RANGES["MPa"]
+    _, lowest, highest = PHYSICAL_RANGES["modulus"]
     outside = [
         value for value in (np.min(modulus), np.max(modulus)) if value < lowest or value > highest
     ]

@@ -17,6 +17,9 @@ from microlib.tracking._tracker import ESMTracker
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Columns of a table that most users need; the others follow.
+_FIRST = ("center_x", "center_y", "lost", "reason", "confidence")
+
 
 def track_each(
     frames: Iterable[ArrayLike],
@@ -93,11 +96,11 @@ def track_each(
         row: dict[str, Any] = {"frame": number}
         if timed:
             row["time_s"] = clock(number)
-        row |= track.to_dict()
         if size is not None:
             x, y = (size * (track.center - start)).tolist()
             row |= {"x_um": None, "y_um": None} if track.lost else {"x_um": x, "y_um": y}
-        yield row
+        values = track.to_dict()
+        yield row | {name: values[name] for name in _FIRST} | values
     if tracker is None:
         raise ValueError("frames must hold at least one, got none")
 

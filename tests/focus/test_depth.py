@@ -60,7 +60,7 @@ def test_default_measure_recovers_a_dome(dome):
     assert rms(inner(result.depth - height)) < 0.045 * STEP
     assert result.depth.dtype == np.float32
     assert not result.at_end.any()
-    assert repr(result).startswith("FocusResult(92×100 px, 100.0 % known, depth ")
+    assert repr(result).startswith("FocusResult(100×92 px, 100.0 % known, depth ")
     plain = depth_from_focus(stack, POSITIONS, measure="sml", window=9)
     assert result != plain  # by identity
     assert rms(inner(result.depth - height)) < 0.6 * rms(inner(plain.depth - height))
@@ -177,7 +177,7 @@ def test_depth_is_nan_where_frames_are_uniform(measure, dtype, drift):
     assert np.isnan(result.uncertainty).all()
     assert (result.confidence == 0).all()
     assert (result.index == -1).all()
-    assert repr(result) == "FocusResult(40×44 px, 0.0 % known)"
+    assert repr(result) == "FocusResult(44×40 px, 0.0 % known)"
     assert result.to_dict()["depth_median"] is None
 
 

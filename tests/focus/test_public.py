@@ -46,13 +46,14 @@ MAPS = {
     "depth": um.counted_from("z0"),
     "uncertainty": um,
     "confidence": NUMBER,
-    **dict.fromkeys(("index", "at_end", "pixel_size", "corner", "origin"), SAME),
+    **dict.fromkeys(("index", "at_end", "pixel_size", "unit", "corner", "origin"), SAME),
     "all_in_focus": grey,
     **dict.fromkeys(("warps", "gain", "offset"), SAME),
     "to_dict": {
         **dict.fromkeys(("depth_least", "depth_median", "depth_largest"), um.counted_from("z0")),
         **dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um),
         **dict.fromkeys(("rows", "columns", "known", "at_end", "registered"), NUMBER),
+        "unit": SAME,
     },
 }
 #: float32 grey levels and depths of up to 150 µm, at a curvature of the peak of 0.1.
