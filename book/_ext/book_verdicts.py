@@ -8,7 +8,6 @@
 - ``{ledger-table} section-3.1.2/ table-3.1/labels``: what the thesis reports of a section, as a
   table of the claims whose ids are, or begin with, one of the words. With the option ``:short:``
   it says where each claim stands, and gives the first sentence of what its verdict rests on.
-- ``{counts}``: a table of how many claims have which verdict, and for which reason.
 - ``{verdict-map}``: a bar for each part of the thesis, each piece of which leads to its claims;
   with the option ``:whole:``, one bar for all parts.
 - ``{claims}``: the list of all claims and settings, which ``_static/filter.js`` narrows;
@@ -66,21 +65,6 @@ def facets(entry: ledger.Entry) -> dict[str, str]:
     return {"verdict": entry.label, "part": ledger.part_of(entry).split()[0]}
 
 
-def count_class(claim: ledger.Claim) -> str:
-    """Return the class in which a claim is counted among those of its verdict."""
-    if isinstance(claim, ledger.Possible):
-        kind = "an assumption that was" if claim.chosen else "assumptions that were not"
-        return f"with {kind} chosen so that the number comes out"
-    if isinstance(claim, ledger.Open):
-        return "with a number of ours" if claim.compared else "with nothing to compute"
-    return "sentences" if claim.condition else "numbers"
-
-
-def count_by_class(verdict: ledger.Verdict) -> Counter[str]:
-    """Return how many claims have a verdict, by class."""
-    return Counter(count_class(c) for c in ledger.claims().values() if c.verdict is verdict)
-
-
 def number_of(what: str) -> int:
     """Return one count: of a verdict, ``claims``, ``settings``, ``errata``, a class of errata,
     ``causes`` of contradictions, or ``chosen`` assumptions.
@@ -92,21 +76,6 @@ def number_of(what: str) -> int:
     counts["errata"], counts["causes"] = len(ledger.errata()), len(ledger.causes())
     counts["chosen"] = sum(bool(getattr(claim, "chosen", "")) for claim in claims)
     return counts[what]
-
-
-class Counts(SphinxDirective):
-    """A table of the verdicts, with the number of claims by class."""
-
-    def run(self) -> list[nodes.Node]:
-        rows: list[list[Any]] = []
-        for verdict in ledger.Verdict:
-            classes = [line(f"{n} {name}") for name, n in count_by_class(verdict).most_common()]
-            if verdict is ledger.Verdict.CONTRADICTS:
-                classes.append(line(f"{number_of('causes')} causes in all"))
-            kind = ["verdict", f"verdict-{verdict.word}"]
-            shown = nodes.inline(verdict.word, verdict.word, classes=kind)
-            rows.append([shown, span(str(number_of(verdict.word)), "count"), classes])
-        return [table(["Verdict", "Claims", "Of these"], rows)]
 
 
 def printed(claim: ledger.Entry) -> str:
@@ -349,7 +318,6 @@ def html_link(text: str, page: str, anchor: str) -> str:
 def setup(app: Sphinx) -> None:
     for name in Role.functions:
         app.add_role(name, Role())
-    app.add_directive("counts", Counts)
     app.add_directive("ledger-table", LedgerTable)
     app.add_directive("verdict-map", VerdictMap)
     app.add_directive("claims", Claims)
