@@ -93,7 +93,7 @@ def hold_refused(
     known, found = inspect.signature(function).parameters, []
     for name, values in wrong.items():
         for value in values(given[name]) if callable(values) else values:
-            if value is None and known[name].default is None:
+            if value is None and name in known and known[name].default is None:
                 continue
             value, message = value if isinstance(value, Wrong) else (value, rf"\b{name}\b")
             try:
@@ -118,6 +118,7 @@ def hold_call(
     *,
     exact: tuple[str, ...] = (),
     undecided: float = 0.0,
+    neighbors: bool = True,
 ) -> None:
     """Fail unless a call keeps its arguments, and its result does not depend on their form.
 
@@ -141,7 +142,7 @@ def hold_call(
     plain = {k: v if k in exact else as_floats(v) for k, v in make().items()}
     rng = np.random.default_rng(0)
     moved = {k: v if k in exact else to_neighbors(v, rng) for k, v in plain.items()}
-    if changed := [k for k in plain if moved[k] is not plain[k]]:
+    if neighbors and (changed := [k for k in plain if moved[k] is not plain[k]]):
         near = call(make() | {k: moved[k] for k in changed})
         here = call(make() | {k: plain[k] for k in changed})
         # Far above 10¹⁵ times a condition number of 10⁸, far below what a result can tell.
