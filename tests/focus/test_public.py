@@ -1,8 +1,8 @@
-"""The laws of every public name of focus."""
+"""The calls of every public function of focus: their units, their axes and what they refuse."""
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,24 +11,27 @@ import tifffile
 
 from microlib import synthetic
 from microlib.focus import (
-    FocusResult,
     correct_spikes,
     depth_from_focus,
     smooth_depth,
     sum_modified_laplacian,
+    three_point_peak,
+)
+from tests.checks import (
+    NEGATIVE,
+    NO_COUNT,
+    NO_TEXT,
+    NOT_POSITIVE,
+    each_view,
+    follows_view,
+    hold_call,
+    hold_refused,
+    hold_same_as_new,
+    hold_scaled,
+    no_array,
+    no_map,
 )
 from tests.focus.scenes import NAMES, inner, rms, stack_of
-from tests.laws import (
-    NUMBER,
-    SAME,
-    VIEWS,
-    Row,
-    follows_view,
-    grey,
-    hold_same_as_new,
-    laws_of,
-    um,
-)
 from tests.scenes import tilted_plane
 
 SHAPE = (44, 60)
@@ -42,55 +45,113 @@ HOLED = np.where(np.indices(SHAPE).sum(axis=0) % 11 == 3, np.nan, TRUTH)
 WINDOW = np.random.default_rng(6).uniform(1, 2, (3, *SHAPE))
 WINDOW[1] += 2
 INDEX = np.random.default_rng(7).integers(0, len(Z), SHAPE)
-MAPS = {
-    "depth": um.counted_from("z0"),
-    "uncertainty": um,
-    "confidence": NUMBER,
-    **dict.fromkeys(("index", "at_end", "pixel_size", "unit", "corner", "origin"), SAME),
-    "all_in_focus": grey,
-    **dict.fromkeys(("warps", "gain", "offset"), SAME),
-    "to_dict": {
-        **dict.fromkeys(("depth_least", "depth_median", "depth_largest"), um.counted_from("z0")),
-        **dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um),
-        **dict.fromkeys(("rows", "columns", "known", "at_end", "registered"), NUMBER),
-        "unit": SAME,
+SMALL = np.random.default_rng(1).integers(0, 255, (5, 24, 31)).astype(np.uint8)
+#: A valid call of each function.
+CALLS = {
+    correct_spikes: lambda: {"depth": HOLED.copy(), "window": 5, "delta": 1.5},
+    depth_from_focus: lambda: {
+        "frames": SMALL.copy(),
+        "positions": np.arange(5.0),
+        "measure": "sml",
+        "window": 5,
+        "region": (0, 0, 20, 20),
+        "reduce": 1,
+        "workers": 2,
+    },
+    smooth_depth: lambda: {"depth": HOLED.copy(), "jump": 12.0, "sigma": 4.0},
+    sum_modified_laplacian: lambda: {
+        "image": STACK[3].copy(),
+        "window": 5,
+        "step": 2,
+        "threshold": 9.5,
+    },
+    three_point_peak: lambda: {
+        "window": WINDOW.copy(),
+        "index": INDEX.copy(),
+        "positions": 42.0 + Z,
     },
 }
-#: float32 grey levels and depths of up to 150 µm, at a curvature of the peak of 0.1.
-SINGLE = 1e-4
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
+ODD = [*NO_COUNT, 4]
+#: What is refused in place of each argument.
+REFUSED = {
+    correct_spikes: {
+        "depth": lambda valid: [*no_map(valid), np.zeros(12), np.full((12, 12), np.inf)],
+        "window": ODD,
+        "delta": NEGATIVE,
+    },
+    depth_from_focus: {
+        "frames": no_map,
+        "positions": lambda valid: [*no_array(valid), [3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]],
+        "measure": NO_TEXT,
+        "window": ODD,
+        "region": no_array,
+        **dict.fromkeys(("reduce", "workers"), NO_COUNT),
+    },
+    smooth_depth: {
+        "depth": lambda valid: [*no_map(valid), np.full(valid.shape, -np.inf)],
+        "jump": NOT_POSITIVE,
+        "sigma": NEGATIVE,
+    },
+    sum_modified_laplacian: {
+        "image": no_array,
+        "window": ODD,
+        "step": [*NO_COUNT, 99],
+        "threshold": NEGATIVE,
+    },
+    three_point_peak: {
+        "window": lambda valid: [*no_array(valid), valid[:2], -valid],
+        "index": lambda valid: [*no_array(valid), 0 * valid + len(Z), 0 * valid - 1],
+        "positions": lambda valid: [*no_array(valid), np.arange(2.0), np.arange(10) // 2],
+    },
+}
 
 
-@cache
-def measured(grey: float, z0: float, um: float) -> FocusResult:
-    return depth_from_focus(STACK * grey, z0 + Z * um)
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function], undecided=0.002)
 
 
-def result(u) -> FocusResult:
-    return measured(u.grey, u.z0, u.um)
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED[function])
 
 
-LAWS = {
-    "focus.FocusResult": Row(lambda u: vars(result(u)), MAPS, within=SINGLE),
-    "focus.correct_spikes": Row(lambda u: {"depth": u.z0 + HOLED * u.um, "window": 5,
-        "delta": 1.5}, um.counted_from("z0")),
-    "focus.depth_from_focus": Row(lambda u: {"frames": STACK * u.grey,
-        "positions": u.z0 + Z * u.um, "measure": partial(sum_modified_laplacian, window=7)},
-        MAPS, within=SINGLE),
-    "focus.smooth_depth": Row(lambda u: {"depth": u.z0 + HOLED * u.um, "jump": 12.0 * u.um,
-        "sigma": 4.0}, um.counted_from("z0"), within=SINGLE),
-    "focus.sum_modified_laplacian": Row(lambda u: {"image": u.grey0 + STACK[3] * u.grey,
-        "window": 5, "step": 2, "threshold": 9.5 * u.grey}, grey, within=SINGLE),
-    "focus.three_point_peak": Row(lambda u: {"window": WINDOW * u.grey, "index": INDEX,
-        "positions": u.z0 + Z * u.um}, um.counted_from("z0"), within=SINGLE),
-}  # fmt: skip
+@pytest.mark.parametrize("measure", ["multiscale", partial(sum_modified_laplacian, window=7)])
+@pytest.mark.parametrize(("grey", "um", "z0"), [(1 / 255, 1.7, 0.0), (257.0, 1.0, -172.0)])
+def test_depth_follows_units_of_grey_levels_and_positions(measure, grey, um, z0):
+    found = depth_from_focus(grey * STACK, um * (Z + z0), measure=measure)
+    plain = depth_from_focus(STACK, Z, measure=measure)
+    by = {"depth": lambda z: um * (z + z0), "uncertainty": um, "all_in_focus": grey}
+    # float32 grey levels, at a curvature of the peak of 0.1.
+    hold_scaled(found, plain, within=1e-4, **by)
+    row = dict.fromkeys(("depth_least", "depth_median", "depth_largest"), by["depth"])
+    row |= dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um)
+    hold_scaled(found.to_dict(), plain.to_dict(), within=1e-4, **row)
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+@pytest.mark.parametrize(("um", "z0"), [(1.7, 0.0), (1.0, -172.0)])
+def test_corrected_depths_and_peaks_follow_unit_and_origin(um, z0):
+    def there(z):
+        return um * (z + z0)
+
+    spikes = partial(correct_spikes, window=5, delta=1.5)
+    hold_scaled(spikes(there(HOLED)), spikes(HOLED), there)
+    smooth = smooth_depth(there(HOLED), jump=12.0 * um, sigma=4.0)
+    hold_scaled(smooth, smooth_depth(HOLED, jump=12.0, sigma=4.0), there, within=1e-4)
+    found = three_point_peak(WINDOW / 255, INDEX, there(Z))
+    hold_scaled(found, three_point_peak(WINDOW, INDEX, Z), there, within=1e-4)
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@pytest.mark.parametrize("grey", [1 / 255, 257.0])
+def test_laplacian_follows_unit_and_origin_of_grey_levels(grey):
+    given = {"window": 5, "step": 2}
+    found = sum_modified_laplacian(grey * (STACK[3] + 7.0), threshold=9.5 * grey, **given)
+    plain = sum_modified_laplacian(STACK[3], threshold=9.5, **given)
+    hold_scaled(found, plain, grey, within=1e-4)
+
+
+@each_view
 def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
     for measure in NAMES:

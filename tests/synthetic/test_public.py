@@ -149,7 +149,11 @@ REFUSED = {
         "rim_curvature_radius": NOT_POSITIVE,
         "force": [*NOT_POSITIVE, 1e-9],
     },
-    Embryo.dented: {**EGG, "rim_curvature_radius": NOT_POSITIVE, "depth": [*NOT_POSITIVE, 3e3]},
+    Embryo.dented: {
+        **{name: wrong for name, wrong in EGG.items() if name != "force"},
+        "rim_curvature_radius": NOT_POSITIVE,
+        "depth": [*NOT_POSITIVE, 3e3],
+    },
     Embryo.outline: {"spacing": NOT_POSITIVE},
     EmbryoImage.to_pixels: {"points": no_array},
     GripperScene.box: {"size": NO_COUNT, "shift": no_array},

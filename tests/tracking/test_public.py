@@ -1,4 +1,4 @@
-"""The laws of every public name of tracking."""
+"""The calls of every public function of tracking: their units, their axes and what they refuse."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ import pytest
 from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter, Track, track_each
-from tests.laws import (
-    GOES_ON,
-    NUMBER,
-    SAME,
-    VIEWS,
-    Row,
-    Units,
-    covariance,
-    grey,
+from microlib.tracking import ESMTracker, KalmanFilter, track_all, track_each
+from tests.checks import (
+    BROKEN,
+    NO_TEXT,
+    NOT_POSITIVE,
+    each_view,
+    hold_call,
+    hold_refused,
     hold_same_as_new,
-    laws_of,
-    px,
-    s,
-    um,
+    hold_scaled,
+    no_array,
+    no_map,
 )
 
 BOX = (38, 26, 52, 41)
@@ -33,34 +30,35 @@ MOVED = GAIN * ndimage.shift(SCENE, BY[::-1], order=5, mode="mirror") + 30
 NOISE = np.random.default_rng(5).normal(0, 0.3, (2, 110, 140))
 
 
-def frames(u) -> list:
-    """Return a frame, and one of the moved scene with another gain and bias."""
-    return [u.grey * (SCENE + NOISE[0]), u.grey * (MOVED + NOISE[1])]
+#: A frame, and one of the moved scene with another gain and bias.
+FRAMES = [SCENE + NOISE[0], MOVED + NOISE[1]]
+START = np.array([12.0, -5.0])
 
 
-def filters(u) -> dict:
-    return {
-        "position": np.array([u.x0, u.y0]),
-        "interval": 0.04 * u.s,
-        "acceleration": 300.0 * u.px / u.s**2,
-        "noise": 0.2 * u.px,
-    }
+def filtered(px: float = 1.0, s: float = 1.0, start: np.ndarray = START) -> dict:
+    motion = {"interval": 0.04 * s, "acceleration": 300.0 * px / s**2, "noise": 0.2 * px}
+    return {"position": start * px, **motion}
 
 
-def used(u) -> KalmanFilter:
+def used(px: float = 1.0, s: float = 1.0, start: np.ndarray = START) -> KalmanFilter:
     """Return a filter that has seen two frames."""
-    kalman = KalmanFilter(**filters(u))
+    kalman = KalmanFilter(**filtered(px, s, start))
     for k in (1, 2):
         kalman.predict()
-        kalman.update(np.array([u.x0, u.y0]) + k * np.array([3.0, -2.0]) * u.px)
+        kalman.update((start + k * np.array([3.0, -2.0])) * px)
     return kalman
 
 
-def steps(self, position=None) -> tuple:
-    expected = self.predict()
+def steps(kalman: KalmanFilter, position: object = None) -> tuple:
+    expected = kalman.predict()
     if position is not None:
-        self.update(position)
-    return expected, self.position, self.velocity, self.covariance
+        kalman.update(position)
+    return expected, kalman.position, kalman.velocity, kalman.covariance
+
+
+def film(grey: float = 1.0) -> dict:
+    frames = [grey * frame for frame in FRAMES]
+    return {"frames": frames, "box": BOX, "motion": "affine", "rate": 25.0, "pixel_size": 1.5}
 
 
 #: The result for a frame.
@@ -69,48 +67,79 @@ FOUND = {
     "homography": np.eye(3), "gain": 1.0, "bias": 0.0, "visible": 1.0, "iterations": 3,
     "covariance": np.eye(2), "confidence": 1.0, "hidden": np.zeros((6, 6), bool),
 }  # fmt: skip
-LIGHT = dict.fromkeys(("confidence", "correlation", "gain", "visible", "center", "corners"), NUMBER)
-TRACK = LIGHT | {
-    **dict.fromkeys(("lost", "reason", "iterations"), SAME),
-    **dict.fromkeys(("covariance", "homography", "hidden"), NUMBER),
-    "bias": grey,
+#: A valid call of each function.
+CALLS = {
+    ESMTracker: lambda: {"image": FRAMES[0].copy(), "box": BOX, "motion": "affine"},
+    ESMTracker.track: lambda: {
+        "self": ESMTracker(FRAMES[0], BOX, "affine"),
+        "frame": FRAMES[1].copy(),
+    },
+    KalmanFilter: filtered,
+    KalmanFilter.predict: lambda: {"self": used()},
+    KalmanFilter.update: lambda: {"self": used(), "position": START + np.array([8.7, -6.2])},
+    track_all: film,
+    track_each: film,
 }
-COLUMNS = dict.fromkeys(Track(**FOUND).to_dict(), NUMBER) | {
-    **dict.fromkeys(("lost", "reason", "iterations"), SAME),
-    "bias": grey,
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+FILM = {
+    "frames": no_map,
+    "box": no_array,
+    "motion": NO_TEXT,
+    "rate": NOT_POSITIVE,
+    "pixel_size": [*BROKEN, 0, -1],
 }
-TRACK["to_dict"] = COLUMNS
-WAY = {"time_s": s, "x_um": um, "y_um": um}
-STATE = ((px.counted_from("x0", "y0"),) * 2) + (px / s, covariance(px, px / s))
-#: The tracker scales grey levels by a power of two. With another one, results differ by float32
-#: rounding and by the last step of an iteration that ends at 0.05 px.
-SINGLE = 2e-3
-
-LAWS = {
-    "tracking.ESMTracker": Row(lambda u: {"image": frames(u)[0], "box": BOX, "motion": "affine"},
-        NUMBER, call=lambda **given: ESMTracker(**given).track(given["image"]).corners,
-        within=SINGLE),
-    "tracking.ESMTracker.track": Row(lambda u: {"self": ESMTracker(frames(u)[0], BOX, "affine"),
-        "frame": frames(u)[1]}, TRACK, within=SINGLE, laws=GOES_ON),
-    "tracking.KalmanFilter": Row(filters,
-        {"position": STATE[0], "velocity": STATE[2], "covariance": STATE[3]}),
-    "tracking.KalmanFilter.predict": Row(lambda u: {"self": used(u)}, STATE, laws=GOES_ON,
-        call=steps),
-    "tracking.KalmanFilter.update": Row(lambda u: {"self": used(u),
-        "position": np.array([u.x0 + 8.7 * u.px, u.y0 - 6.2 * u.px])}, STATE, laws=GOES_ON,
-        call=steps),
-    "tracking.Track": Row(lambda u: {**FOUND, "bias": 3.0 * u.grey}, TRACK),
-    "tracking.track_all": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
-        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, COLUMNS | WAY, within=SINGLE),
-    "tracking.track_each": Row(lambda u: {"frames": frames(u), "box": BOX, "motion": "affine",
-        "rate": 25.0 / u.s, "pixel_size": 1.5 * u.um}, {"frame": SAME} | COLUMNS | WAY,
-        within=SINGLE, call=lambda **given: list(track_each(**given))[1]),
-}  # fmt: skip
+#: What is refused in place of each argument.
+REFUSED = {
+    ESMTracker: {"image": no_array, "box": no_array, "motion": NO_TEXT},
+    ESMTracker.track: {"frame": lambda valid: [*no_array(valid), np.zeros((20, 30))]},
+    KalmanFilter: {
+        "position": no_array,
+        **dict.fromkeys(("interval", "acceleration", "noise"), NOT_POSITIVE),
+    },
+    KalmanFilter.update: {"position": no_array},
+    track_all: FILM,
+    track_each: FILM,
+}
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function], undecided=0.002)
+
+
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
+
+
+@pytest.mark.parametrize("grey", [1 / 255, 257.0])
+def test_track_follows_unit_of_grey_levels(grey):
+    """The tracker scales them by a power of two, and ends its iteration at 0.05 px."""
+    first, second = (grey * frame for frame in FRAMES)
+    plain = ESMTracker(FRAMES[0], BOX, "affine").track(FRAMES[1])
+    found = ESMTracker(first, BOX, "affine").track(second)
+    hold_scaled(found, plain, within=2e-3, bias=grey)
+    hold_scaled(found.to_dict(), plain.to_dict(), within=2e-3, bias=grey)
+
+
+def test_way_has_the_units_of_rate_and_pixel_size():
+    plain, s, um = track_all(**film()), 2.3, 1.7
+    found = track_all(**film() | {"rate": 25.0 / s, "pixel_size": 1.5 * um})
+    hold_scaled(found, plain, time_s=s, x_um=um, y_um=um)
+    np.testing.assert_allclose(plain["time_s"], [0, 1 / 25])
+    way = plain["center_x"] - plain["center_x"][0]
+    np.testing.assert_allclose(plain["x_um"], 1.5 * way, atol=1e-9)
+
+
+@pytest.mark.parametrize(("px", "s", "start"), [(0.6, 2.3, START), (1.0, 1.0, START + 31.0)])
+def test_kalman_filter_follows_units_and_origin(px, s, start):
+    measured = np.array([8.7, -6.2])
+    found = steps(used(px, s, start), (start + measured) * px)
+    plain = steps(used(), START + measured)
+    scale = np.outer([px, px / s], [px, px / s])
+    shift = px * (start - START)
+    wanted = (px * plain[0] + shift, px * plain[1] + shift, px / s * plain[2], scale * plain[3])
+    hold_scaled(found, wanted)
 
 
 @pytest.mark.parametrize("grey", [1e-9, 1e-6, 1.0, 257.0, 2e7])
@@ -128,7 +157,7 @@ def test_gain_and_bias_are_those_at_the_middle_of_the_template(grey, ramp, box):
     assert track.bias == pytest.approx(30 * grey, abs=(0.1 + 0.5 * ramp) * grey)
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@each_view
 def test_track_follows_flips_and_rotations(view):
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     first = ESMTracker(one, BOX, "affine").track(other)
@@ -168,7 +197,7 @@ def test_tracker_recovers_after_lost_frame_like_a_new_one():
 
 
 def test_arrays_of_the_kalman_filter_are_copies():
-    kalman = used(Units())
+    kalman = used()
     for copy in (kalman.predict(), kalman.position, kalman.velocity, kalman.covariance):
         copy[:] = np.nan
     assert np.isfinite([*kalman.position, *kalman.velocity, *kalman.covariance.ravel()]).all()
@@ -176,7 +205,7 @@ def test_arrays_of_the_kalman_filter_are_copies():
 
 def test_refused_input_leaves_state_unchanged():
     refused = [lambda kalman: kalman.update((np.nan, 0)), lambda kalman: kalman.update((1, 2, 3))]
-    hold_same_as_new(lambda: used(Units()), lambda kalman: steps(kalman, (15.0, 3.0)), *refused)
+    hold_same_as_new(lambda: used(), lambda kalman: steps(kalman, (15.0, 3.0)), *refused)
     refused = [
         lambda tracker: tracker.track(MOVED[:-1]),
         lambda tracker: tracker.track(MOVED * np.inf),
@@ -185,13 +214,13 @@ def test_refused_input_leaves_state_unchanged():
     hold_same_as_new(new, lambda tracker: tracker.track(MOVED + NOISE[1]), *refused)
 
 
-def test_track_does_not_depend_on_the_frames_before():
+def test_track_does_not_depend_on_the_earlier():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     absent = np.random.default_rng(0).normal(0, 28, one.shape)
     new = ESMTracker(one, BOX, "affine").track(other)
     tracker = ESMTracker(one, BOX, "affine")
-    for frames_before in ([other], [other, other], [absent], [one, absent, absent, one]):
-        for frame in frames_before:
+    for earlier in ([other], [other, other], [absent], [one, absent, absent, one]):
+        for frame in earlier:
             tracker.track(frame)
         again = tracker.track(other)
         assert not again.lost
