@@ -21,7 +21,7 @@ $(shell rm -rf $(VENV))
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup extras lab book pdf test notebooks html lint format data benchmarks oldest newest portable fuzz hostile unused lock clean
+.PHONY: help setup extras lab book pdf test notebooks html lint format data benchmarks oldest newest portable hostile unused lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -99,9 +99,6 @@ newest: ## run the library's tests with the newest dependencies; PYTHON=python3.
 
 portable: $(STAMP) ## run everything with the rounding of other processors (about an hour)
 	@$(BIN)/python .ci/portable.py $(PORTABLE)
-
-fuzz: $(STAMP) ## call each public function with two unusual arguments at once (minutes)
-	@FUZZ_PAIRS=60 $(BIN)/python -m pytest --quiet tests/test_arguments.py
 
 hostile: $(STAMP) ## run notebooks in a fresh clone under faults of other machines, such as a full disk (minutes)
 	@$(BIN)/python .ci/hostile.py $(HOSTILE)

@@ -17,7 +17,6 @@ import pytest
 
 import microlib
 from microlib._common import Result
-from tests.laws import public, resolve
 
 PACKAGE = Path(microlib.__file__).parent
 ROOT = PACKAGE.parent
@@ -39,6 +38,14 @@ ARROWS = {
 #: Functions and classes that people call; the classes of results come with them. Whoever needs
 #: another name takes one away.
 MOST_PUBLIC_NAMES = 96
+
+
+#: What people call, and the classes of results that come with it, by its room and name.
+PUBLIC = {
+    f"{room}.{name}": getattr(importlib.import_module(f"microlib.{room}"), name)
+    for room in ROOMS
+    for name in importlib.import_module(f"microlib.{room}").__all__
+}
 
 
 def sources(folder: Path) -> list[Path]:
@@ -141,19 +148,15 @@ def test_imports_have_no_cycle():
     TopologicalSorter(ARROWS).prepare()  # which names a circle
 
 
-def is_result(name: str) -> bool:
-    value = resolve(name)
+def is_result(value: object) -> bool:
     return inspect.isclass(value) and issubclass(value, Result)
 
 
 def test_public_names_are_few_and_listed_once():
-    listed: dict[str, str] = {}
-    for room in ROOMS:
-        for name in importlib.import_module(f"microlib.{room}").__all__:
-            assert not name.startswith("_"), f"{room}.{name}"
-            assert name not in listed, f"{name} stands in {listed[name]} and in {room}"
-            listed[name] = room
-    called = [name for name in listed if not is_result(f"{listed[name]}.{name}")]
+    listed = {name.split(".")[1]: name.split(".")[0] for name in PUBLIC}
+    assert len(listed) == len(PUBLIC), "a name stands in two rooms"
+    assert not [name for name in listed if name.startswith("_")]
+    called = [name for name, value in PUBLIC.items() if not is_result(value)]
     assert len(called) <= MOST_PUBLIC_NAMES, len(called)
     text = (ROOT / "book" / "api.md").read_text(encoding="utf-8")
     shown: dict[str, str] = {}
@@ -170,9 +173,13 @@ def test_files_of_a_package_are_private():
             assert path.name.startswith("_"), path
 
 
-@pytest.mark.parametrize("name", [name for name in public() if name.count(".") == 1])
-def test_public_names_are_documented(name):
-    value = resolve(name)
+@pytest.mark.parametrize("name", [n for n, value in PUBLIC.items() if callable(value)])
+def test_public_names_are_documented_and_tested_in_their_room(name):
+    value, (room, own) = PUBLIC[name], name.split(".")
+    tests = [*(ROOT / "tests").glob(f"{room}/test_*.py"), *(ROOT / "tests").glob(f"test_{room}.py")]
+    tests.append(ROOT / "tests" / "test_plots.py")
+    used = any(re.search(rf"\b{own}\b", path.read_text(encoding="utf-8")) for path in tests)
+    assert used or is_result(value), f"{name} is in no test of its room"
     doc = inspect.getdoc(value) or ""
     assert doc, f"{name} has no docstring"
     assert not re.search(r"^ *--+ +\S", doc, flags=re.M), f"{name}: text behind an underline"
@@ -241,13 +248,14 @@ def classes_in(annotation: object) -> set[type]:
     return inner | {annotation} if own else inner
 
 
-@pytest.mark.parametrize("name", sorted(public()))
+@pytest.mark.parametrize("name", [n for n, value in PUBLIC.items() if callable(value)])
 def test_classes_that_public_functions_return_are_public(name):
-    value = resolve(name)
-    function = value.__call__ if inspect.isclass(value) else value
-    if inspect.isclass(value) and "__call__" not in vars(value):
-        return
-    returned = classes_in(typing.get_type_hints(function, localns={"pd": pd}).get("return"))
-    for found in returned - {Path}:
-        room = importlib.import_module(".".join(found.__module__.split(".")[:2]))
-        assert found.__name__ in room.__all__, f"{name} returns {found.__name__}"
+    value = PUBLIC[name]
+    methods = [own for own in vars(value).values() if inspect.isfunction(own)]
+    for function in methods if inspect.isclass(value) else [value]:
+        if function.__name__.startswith("_") and function.__name__ != "__call__":
+            continue
+        returned = classes_in(typing.get_type_hints(function, localns={"pd": pd}).get("return"))
+        for found in returned - {Path}:
+            room = importlib.import_module(".".join(found.__module__.split(".")[:2]))
+            assert found.__name__ in room.__all__, f"{name} returns {found.__name__}"

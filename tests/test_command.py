@@ -29,8 +29,8 @@ from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import focal_stack, mixed_texture
 from tests.calibration.scenes import ruled
+from tests.checks import hold_same
 from tests.io.make import read_ply, read_stl, varied_times
-from tests.laws import unlike
 from tests.scenes import straight_step
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -69,7 +69,7 @@ def figures(monkeypatch):
 
 def hold_alike(found: object, wanted: object, within: float = 1e-7) -> None:
     """Compare numbers that were written with ten digits or more, by default."""
-    assert not [*unlike(wanted, found, within=within)]
+    hold_same(wanted, found, within=within)
 
 
 @pytest.mark.parametrize(

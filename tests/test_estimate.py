@@ -5,9 +5,6 @@ import pytest
 
 from microlib.estimate import Estimate
 
-#: No function of this module takes numbers in units.
-LAWS: dict = {}
-
 
 @pytest.mark.parametrize(
     ("numbers", "text"),

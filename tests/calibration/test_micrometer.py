@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from microlib.calibration import detect_micrometer
 from tests.calibration.scenes import SHAPE, ruled, scale
-from tests.laws import hold_sigma
+from tests.checks import hold_sigma
 
 HEIGHT, WIDTH = SHAPE
 

@@ -1,147 +1,162 @@
-"""The laws of every public name of calibration."""
+"""The calls of every public function of calibration: their units, axes, and what they refuse."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from microlib.calibration import calibrate, detect_micrometer, stage_affine
-from tests.calibration import test_boards, test_charuco, test_micrometer, test_stage
+from microlib import calibration
+from microlib.calibration import Calibration, calibrate, detect_micrometer, stage_affine
+from tests.calibration import test_boards
 from tests.calibration.scenes import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
-from tests.laws import (
-    NUMBER,
-    SAME,
-    VIEWS,
-    Row,
-    TestedBy,
-    covariance,
-    estimate,
-    laws_of,
-    px,
-    um,
+from tests.checks import (
+    NO_TEXT,
+    NOT_POSITIVE,
+    each_view,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_array,
+    not_finite,
 )
 
 WORLD = grid_in_view(SCOPE)[::3]
 IMAGE = SCOPE.project(WORLD) + np.random.default_rng(5).normal(0, 0.02, WORLD.shape)
 SENSOR_POINTS = (IMAGE - SCOPE.principal_point) * SCOPE.pitch
 FLAT = SCOPE.to_objective(WORLD)
+SEEN = MOVES @ [[1.3, 0.4], [-0.5, 1.6]] + np.sin(MOVES[::-1]) + [12, -5]
 
 
-def seen(u):
-    """The arguments of a calibration."""
-    sensor = SENSOR | {"pixel_pitch": (9.9 * u.um, 8.3 * u.um)}
-    return {"world": WORLD * u.um, "image": IMAGE, "focal_length": 126e3 * u.um, **sensor}
+def seen(um: float = 1.0) -> dict:
+    """Return the arguments of a calibration."""
+    sensor = SENSOR | {"pixel_pitch": (9.9 * um, 8.3 * um)}
+    return {"world": WORLD * um, "image": IMAGE.copy(), "focal_length": 126e3 * um, **sensor}
 
 
 @cache
-def calibrated(um=1.0):
-    return calibrate(**seen(SimpleNamespace(um=um)))
+def calibrated(um: float = 1.0) -> Calibration:
+    return calibrate(**seen(um))
 
 
-def spans(found):
-    """The numbers of a calibration; the fields of `Calibration` have the units of parameters."""
-    intervals = {
-        name: np.array(found.parameters[name].interval)
-        for name in ("magnification", "alpha", "distortion")
-    }
-    return intervals | {n: getattr(found, n) for n in ("residuals", "plane_residuals")}
+@cache
+def charuco() -> np.ndarray:
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
 
 
-#: Where a search ends, of the largest residual.
-SEARCHED = 1e-5
-SPANS = {
-    **dict.fromkeys(("magnification", "alpha", "residuals"), NUMBER),
-    "distortion": 1 / um**2,
-    "plane_residuals": um,
-}
-#: The middle of a mark is found to some 1e-6 px from grey levels in single precision.
-SINGLE = 1e-5
-DETECTED = dict.fromkeys(
-    ("points", "uncertainty", "positions", "side", "normalized_rms"), NUMBER
-) | {
-    **dict.fromkeys(("grid", "group", "image_size"), SAME),
-}
-SCALE = {
-    **dict.fromkeys(("points", "residuals", "angle"), NUMBER),
-    "divisions": SAME,
-    "spacing": estimate(NUMBER),
-}
-
-
-def photographed(u, shown):
-    return PHOTOGRAPHS[shown] * u.grey
-
-
-LAWS = {
-    "calibration.calibrate": Row(
-        seen, SPANS, within=SEARCHED, call=lambda **given: spans(calibrate(**given))
-    ),
-    "calibration.Calibration": Row(
-        lambda u: {"found": calibrated(u.um)}, SPANS, within=SEARCHED, call=spans
-    ),
-    "calibration.Calibration.to_json": TestedBy(
-        test_stage.test_json_describes_the_camera_to_other_programs),
-    "calibration.Calibration.from_json": TestedBy(
-        test_stage.test_calibration_survives_json_and_csv),
-    "calibration.Detection": TestedBy(
-        test_boards.test_points_are_accurate_for_any_marks_blur_and_noise),
-    **{
-        f"calibration.{detect}": Row(lambda u, shown=shown: {"image": photographed(u, shown)}, unit,
-            within=SINGLE)
-        for detect, shown, unit in (("detect_circles", "circles", DETECTED),
-            ("detect_squares", "squares", DETECTED), ("detect_micrometer", "scale", SCALE),
-            ("detect_pattern", "circles", (SAME, DETECTED)))
+#: A valid call of each function.
+CALLS = {
+    calibrate: seen,
+    Calibration.to_json: lambda: {"self": calibrated()},
+    Calibration.from_json: lambda: {"text": calibrated().to_json()},
+    calibration.detect_circles: lambda: {"image": PHOTOGRAPHS["circles"].copy()},
+    calibration.detect_squares: lambda: {
+        "image": PHOTOGRAPHS["squares"].copy(),
+        "pattern": "squares",
     },
-    "calibration.Micrometer": TestedBy(test_micrometer.test_spacing_of_scale_lines_is_accurate),
-    "calibration.Micrometer.um_per_pixel": Row(
-        lambda u: {"self": detect_micrometer(PHOTOGRAPHS["scale"]), "division": 10.0 * u.um},
-        estimate(um),
-    ),
-    "calibration.detect_charuco": TestedBy(
-        test_charuco.test_inverted_charuco_board_has_the_same_corners),
-    "calibration.linear_intrinsics": Row(
-        lambda u: {
-            "flat": FLAT[:, :2] * u.um,
-            "depth": (FLAT[:, 2] - SCOPE.translation[2]) * u.um,
-            "sensor": SENSOR_POINTS * u.um,
-        },
-        [NUMBER, um**-2, um**-1],
-    ),
-    "calibration.radial_alignment": Row(
-        lambda u: {"world": WORLD * u.um, "sensor": SENSOR_POINTS * u.um},
-        [NUMBER, NUMBER, NUMBER, um, um],
-    ),
-    "calibration.stage_affine": Row(
-        lambda u: {
-            "stage": MOVES * u.um,
-            "image": (MOVES @ [[1.3, 0.4], [-0.5, 1.6]] + np.sin(MOVES[::-1]) + [12, -5]) * u.px,
-        },
-        {
-            "matrix": [px / um, px / um, px],
-            "covariance": covariance(px / um, px / um, px, px / um, px / um, px),
-            "um_per_pixel": {**dict.fromkeys(("value", "uncertainty", "low", "high"), um / px),
-                "unit": SAME, "interval": um / px},
-            "angle": NUMBER,
-            "mirrored": SAME,
-            "residuals": px,
-        },
-        call=lambda stage, image: vars(stage_affine(stage, image)),
-        within=1e-8,
-    ),
-}  # fmt: skip
+    detect_micrometer: lambda: {"image": PHOTOGRAPHS["scale"].copy()},
+    calibration.detect_pattern: lambda: {
+        "image": PHOTOGRAPHS["circles"].copy(),
+        "pattern": "circles",
+    },
+    calibration.detect_charuco: lambda: {"image": charuco().copy()},
+    calibration.Micrometer.um_per_pixel: lambda: {
+        "self": detect_micrometer(PHOTOGRAPHS["scale"]),
+        "division": 10.0,
+    },
+    calibration.linear_intrinsics: lambda: {
+        "flat": FLAT[:, :2].copy(),
+        "depth": FLAT[:, 2] - SCOPE.translation[2],
+        "sensor": SENSOR_POINTS.copy(),
+    },
+    calibration.radial_alignment: lambda: {
+        "world": WORLD.copy(),
+        "sensor": SENSOR_POINTS.copy(),
+    },
+    stage_affine: lambda: {"stage": MOVES.copy(), "image": SEEN.copy()},
+}
+each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
+#: What is refused in place of each argument.
+REFUSED = {
+    calibrate: {
+        **{"world": no_array, "image": no_array, "focal_length": NOT_POSITIVE},
+        "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, (9.9, -8.3)],
+        "image_size": lambda valid: [*no_array(valid), (0, 491), (-656, 491)],
+    },
+    Calibration.from_json: {"text": NO_TEXT},
+    calibration.detect_circles: {"image": no_array},
+    calibration.detect_squares: {"image": no_array, "pattern": NO_TEXT},
+    detect_micrometer: {"image": no_array},
+    calibration.detect_pattern: {"image": no_array, "pattern": NO_TEXT},
+    calibration.detect_charuco: {"image": no_array},
+    calibration.Micrometer.um_per_pixel: {"division": NOT_POSITIVE},
+    calibration.linear_intrinsics: dict.fromkeys(("flat", "depth", "sensor"), no_array),
+    calibration.radial_alignment: dict.fromkeys(("world", "sensor"), no_array),
+    stage_affine: dict.fromkeys(("stage", "image"), no_array),
+}
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+@each_call
+def test_call_gives_the_same_for_the_same_numbers(function):
+    hold_call(function, CALLS[function])
 
 
-@pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
+@each_call
+def test_wrong_arguments_are_refused_by_name(function):
+    hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
+
+
+def test_calibration_follows_unit_of_length():
+    um, within = 1.7, 1e-5  # where a search ends, of the largest residual
+    found, plain = calibrated(um), calibrated()
+    hold_scaled(found.residuals, plain.residuals, within=within)
+    hold_scaled(found.plane_residuals, plain.plane_residuals, um, within=within)
+    for name, factor in (("magnification", 1.0), ("alpha", 1.0), ("distortion", um**-2)):
+        spans = [np.array(each.parameters[name].interval) for each in (found, plain)]
+        hold_scaled(*spans, factor, within=within)
+    lengths = {"flat": um * FLAT[:, :2], "sensor": um * SENSOR_POINTS}
+    lengths["depth"] = um * (FLAT[:, 2] - SCOPE.translation[2])
+    plain = calibration.linear_intrinsics(**CALLS[calibration.linear_intrinsics]())
+    hold_scaled(calibration.linear_intrinsics(**lengths), plain, np.array([1, um**-2, 1 / um]))
+    found = calibration.radial_alignment(um * WORLD, um * SENSOR_POINTS)
+    plain = calibration.radial_alignment(WORLD, SENSOR_POINTS)
+    hold_scaled(found, plain, np.array([1, 1, 1, um, um]))
+
+
+@pytest.mark.parametrize("grey", [1 / 255, 257.0])
+@pytest.mark.parametrize(
+    "detect",
+    [
+        calibration.detect_circles,
+        calibration.detect_squares,
+        calibration.detect_pattern,
+        detect_micrometer,
+    ],
+)
+def test_marks_are_the_same_in_other_grey_levels(detect, grey):
+    given = CALLS[detect]()
+    found = detect(**given | {"image": grey * given["image"]})
+    # The middle of a mark is found to some 1e-6 px from grey levels in single precision.
+    hold_scaled(found, detect(**given), within=1e-5)
+
+
+def test_scale_of_stage_and_micrometer_has_the_units_of_its_lengths():
+    um, px = 1.7, 0.6
+    scale = detect_micrometer(PHOTOGRAPHS["scale"])
+    hold_scaled(scale.um_per_pixel(10.0 * um), scale.um_per_pixel(10.0), um)
+    units = np.array([px / um, px / um, px])
+    by = {"matrix": units, "residuals": px, "um_per_pixel": um / px}
+    by["covariance"] = np.outer([*units, *units], [*units, *units])
+    found, plain = stage_affine(um * MOVES, px * SEEN), stage_affine(MOVES, SEEN)
+    hold_scaled(vars(found), vars(plain), within=1e-8, **by)
+
+
+@each_view
 @pytest.mark.parametrize("shown", ["circles", "squares", "chessboard"])
 def test_detected_points_follow_flips_and_rotations(shown, view):
     detect, image = test_boards.DETECTORS[shown], PHOTOGRAPHS[shown]

@@ -12,7 +12,7 @@ import pytest
 
 from microlib.calibration import Calibration, calibrate, stage_affine
 from tests.calibration.scenes import MOVES, SCOPE, SENSOR, grid_in_view
-from tests.laws import hold_coverage
+from tests.checks import hold_coverage
 
 
 def turned(scale, angle, *, mirrored=False):

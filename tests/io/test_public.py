@@ -1,9 +1,6 @@
-"""The laws of every public name of reading and writing, and that pixels keep their place."""
+"""Units and refusals of reading and writing, and that pixels keep their place."""
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,18 +9,29 @@ import tifffile
 from microlib.focus import depth_from_focus
 from microlib.io import Stack, read_frames, read_grey, write_height_tiff, write_ply, write_stl
 from microlib.synthetic import focal_stack, mixed_texture
+from tests.checks import (
+    BROKEN,
+    NO_COUNT,
+    hold_call,
+    hold_refused,
+    hold_scaled,
+    no_array,
+    no_map,
+)
 from tests.io.make import read_ply, read_stl
-from tests.laws import SAME, Row, grey, laws_of, um
 
 SHAPE = (29, 41)
 Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
 
 
-def placed(u) -> Stack:
-    """Return frames whose grey level rises by 3 a column and 1 a row, and thus shows the place."""
+def placed(um: float = 1.0, grey: float = 1.0, away: float = 0.0) -> Stack:
+    """Return frames whose grey level rises by 3 a column and 1 a row, and thus shows the place.
+
+    The origins of heights, places and grey levels are `away` of their own unit from the usual ones.
+    """
     row, column = np.indices(SHAPE)
-    frames = np.stack([(3 * column + row) * u.grey + u.grey0] * len(Z))
-    return with_scale(frames, u.z0 + Z * u.um, 2.6 * u.um, (u.x0_um, u.y0_um))
+    frames = np.stack([(3 * column + row + 20.0 + away) * grey] * len(Z))
+    return with_scale(frames, (7.0 + away + Z) * um, 2.6 * um, ((12 + away) * um, (away - 5) * um))
 
 
 def with_scale(
@@ -35,70 +43,84 @@ def with_scale(
     return replace(read_frames(frames), **known)
 
 
-def reading(**options) -> dict:
-    reader = read_frames(**options)
-    about = {name: getattr(reader, name) for name in ("count", "positions", "pixel_size", "origin")}
-    return {**about, "frames": np.stack(list(reader))}
+HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
+SMALL = np.random.default_rng(1).integers(0, 255, (5, 24, 31)).astype(np.uint8)
 
 
-def written(height: np.ndarray, pixel_size: float) -> dict:
-    """Return what other readers find in the files: pixel size, values, grey levels, mesh."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_height_tiff(file := Path(folder) / "h.tif", height, pixel_size=pixel_size)
-        with tifffile.TiffFile(file) as tiff:
+@pytest.mark.parametrize(("um", "grey", "away"), [(1.7, 1 / 255, 0.0), (1.0, 1.0, 9.0)])
+def test_frames_keep_unit_and_origin_of_their_source(um, grey, away):
+    found, plain = (
+        read_frames(source, region=(5, 3, 31, 24), reduce=4)
+        for source in (placed(um, grey, away), placed())
+    )
+    frames = (np.stack(list(each)) for each in (found, plain))
+    hold_scaled(*frames, lambda level: grey * (level + away), within=1e-6)  # single precision
+    assert found.count == plain.count == len(Z)
+    for name, shift in (("positions", away), ("origin", away), ("pixel_size", 0.0)):
+        wanted = um * (np.array(getattr(plain, name)) + shift)
+        np.testing.assert_allclose(getattr(found, name), wanted)
+
+
+def test_written_files_have_the_unit_of_height_and_pixel_size(tmp_path):
+    def written(um: float) -> dict:
+        """Return what other readers find in the files: pixel size, values, grey levels, mesh."""
+        given = {"height": HEIGHT * um, "pixel_size": 2.6 * um}
+        write_height_tiff(tmp_path / "h.tif", **given)
+        with tifffile.TiffFile(tmp_path / "h.tif") as tiff:
             size = [1e4 / per for per in tiff.pages[0].aspage().get_resolution()]
             values = tiff.asarray()
-        grey = np.asarray(read_grey(file))
-        write_ply(Path(folder) / "m.ply", height, pixel_size=pixel_size)
-        mesh = read_ply(Path(folder) / "m.ply")
-        write_stl(Path(folder) / "m.stl", height, pixel_size=pixel_size)
-        mesh["corners"] = read_stl(Path(folder) / "m.stl")["corners"]
-    return {"size": size, "values": values, "grey": grey, **mesh}
+        write_ply(tmp_path / "m.ply", **given)
+        write_stl(tmp_path / "m.stl", **given)
+        grey, mesh = np.asarray(read_grey(tmp_path / "h.tif")), read_ply(tmp_path / "m.ply")
+        corners = read_stl(tmp_path / "m.stl")["corners"]
+        lengths = {"values": values, "grey": grey, "vertices": mesh["vertices"], "corners": corners}
+        return lengths | {"size": np.array(size), "faces": mesh["faces"]}
+
+    # Single precision, and six digits of older versions of tifffile.
+    hold_scaled(written(1.7), written(1.0), 1.7, within=1e-6)
 
 
-HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
-FILES = Row(
-    lambda u: {"height": HEIGHT * u.um, "pixel_size": 2.6 * u.um},
-    {**dict.fromkeys(("size", "values", "grey", "vertices", "corners"), um), "faces": SAME},
-    within=1e-6,  # single precision, and six digits of older versions of tifffile
-    call=written,
-)
-LAWS = {
-    "io.read_frames": Row(
-        lambda u: {"frames": placed(u), "region": (5, 3, 31, 24), "reduce": 4},
-        {
-            "count": SAME, "pixel_size": um, "positions": um.counted_from("z0"),
-            "frames": grey.counted_from("grey0"), "origin": um.counted_from("x0_um", "y0_um"),
-        },
-        within=1e-6,  # single precision
-        call=reading,
-    ),
-    "io.read_grey": FILES,
-    "io.write_height_tiff": FILES,
-    "io.write_ply": FILES,
-    "io.write_stl": FILES,
-}  # fmt: skip
+WRITERS = [write_height_tiff, write_ply, write_stl]
 
 
-@pytest.mark.parametrize(("law", "name"), laws_of(LAWS))
-def test_law_holds(law, name):
-    law(name, LAWS[name])
+def test_read_frames_gives_the_same_again_and_refuses_by_name():
+    given = {"frames": SMALL, "region": (0, 0, 20, 20), "reduce": 1}
+
+    def read(**options: object) -> np.ndarray:
+        return np.stack(list(read_frames(**options)))
+
+    hold_call(read, lambda: {**given, "frames": SMALL.copy()}, neighbors=False)
+    beyond = [(-1, 0, 4, 4), (0, 0, 0, 4), (0, 0, 4, 0), "abcd"]
+    wrong = {"region": lambda valid: [*no_array(valid), *beyond], "reduce": NO_COUNT}
+    hold_refused(read_frames, given, wrong)
+    for frames in ("text", SMALL.astype(str), SMALL.astype(complex), object(), 3.0, SMALL[None]):
+        with pytest.raises(ValueError, match=r"\bframes\b"):
+            list(read_frames(frames))
 
 
-UNITS = SimpleNamespace(um=1.0, grey=1.0, grey0=20.0, x0_um=12.0, y0_um=-5.0, z0=7.0)
+@pytest.mark.parametrize("write", WRITERS, ids=lambda f: f.__name__)
+def test_writers_refuse_by_name_and_keep_their_arrays(write, tmp_path):
+    given = {"path": tmp_path / "file.tif", "height": HEIGHT.copy(), "pixel_size": 2.6}
+    if write is write_ply:
+        given["image"] = np.zeros(HEIGHT.shape, np.uint8)
+    wrong = {"height": no_map, "pixel_size": [*BROKEN, 0, -1]}
+    hold_refused(write, given, wrong)
+    assert not [*tmp_path.iterdir()]
+    write(**given)
+    np.testing.assert_array_equal(given["height"], HEIGHT)
 
 
 @pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
 def test_reader_origin_follows_region_and_reduce(region, reduce):
     """The grey level shows the position of a pixel, also where a pixel is the mean of a block."""
-    for source in (placed(UNITS), read_frames(placed(UNITS))):
+    for source in (placed(), read_frames(placed())):
         reader = read_frames(source, region=region, reduce=reduce)
         row, column = np.indices(reader.shape)
         x, y = (
             o + reader.pixel_size * n for o, n in zip(reader.origin, (column, row), strict=True)
         )
-        level = UNITS.grey0 + (3 * (x - UNITS.x0_um) + y - UNITS.y0_um) / 2.6
+        level = 20.0 + (3 * (x - 12.0) + y - -5.0) / 2.6
         np.testing.assert_allclose(next(iter(reader)), level, rtol=1e-6)
 
 

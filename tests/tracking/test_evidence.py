@@ -9,7 +9,7 @@ from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
 from microlib.tracking._sampling import half_pixel
 from microlib.tracking.robust._covariance import sandwich
-from tests.laws import hold_sigma
+from tests.checks import hold_sigma
 from tests.scenes import camera_frame
 
 #: Details of every size, px.
