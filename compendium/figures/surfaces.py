@@ -112,28 +112,26 @@ def draw_surface(
     """
     rows, cols = np.indices(height.shape, dtype=float)
     points, types = height, labels
-    if turned:  # 60 circles about the middle
+    if turned and labels is not None:  # 60 circles about the middle
         middle = (np.array(height.shape) - 1) / 2
         radius, angle = np.mgrid[0 : middle.min() : 60j, 0 : 2 * np.pi : 121j]
         rows, cols = middle[0] + radius * np.sin(angle), middle[1] + radius * np.cos(angle)
+        # A ring has one height, and the type of most of it; where it is upright, none.
         points = map_coordinates(height, [rows, cols], order=1)
-        if labels is not None:
-            # A ring has one height, and the type of most of it; where it is upright, none.
-            types = map_coordinates(labels, [rows, cols], order=0)
-            points[:] = points.mean(axis=1, keepdims=True)
-            types[:] = [[np.bincount(ring).argmax()] for ring in types]
-            types[:-1][np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)] = 0
-    look: dict[str, Any] = {"rstride": 1, "cstride": 1, "linewidth": 0, "rasterized": True}
+        types = map_coordinates(labels, [rows, cols], order=0)
+        points[:] = points.mean(axis=1, keepdims=True)
+        types[:] = [[np.bincount(ring).argmax()] for ring in types]
+        types[:-1][np.abs(np.diff(points, axis=0)) > 0.1 * np.ptp(points)] = 0
     if types is None:
-        ends = Normalize(np.nanmin(points), np.nanmax(points))
-        look["facecolors"] = colormaps["viridis"](ends(points))
+        colors = colormaps["viridis"](Normalize(np.nanmin(points), np.nanmax(points))(points))
     else:
-        look["facecolors"] = PALETTE(types)
+        colors = PALETTE(types)
     # Smoothed edges would leave gaps between the faces, which are too many for an SVG.
-    look["antialiased"] = False
+    look = {"rstride": 1, "cstride": 1, "linewidth": 0, "antialiased": False, "rasterized": True}
     # From the upper left, as maps have it; y points to the viewer, as in the image.
     light = LightSource(azdeg=225, altdeg=45)
-    axes.plot_surface(pixel_size * cols, pixel_size * rows, points, lightsource=light, **look)
+    x, y = pixel_size * cols, pixel_size * rows
+    axes.plot_surface(x, y, points, facecolors=colors, lightsource=light, **look)
     axes.invert_yaxis()
     axes.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})", zlabel="height (µm)")
     axes.view_init(elev=35, azim=-60)
@@ -161,7 +159,6 @@ def show_surface(
     labels: NDArray[np.uint8] | None = None,
     unit: str = "µm",
     height_unit: str = "µm",
-    turned: bool = False,
 ) -> None:
     """
     Show a picture of a height map, and keep its data, with which the book lets a reader turn it.
@@ -172,7 +169,7 @@ def show_surface(
         Of the figure and its data.
     height : ndarray, shape (rows, cols)
         Heights, µm; NaN leaves a hole. A large map is shown by the medians of square blocks.
-    pixel_size, labels, unit, turned
+    pixel_size, labels, unit
         As for `draw_surface`.
     height_unit : str
         Unit of the heights. If it is also `unit`, heights are drawn to scale, or so many times
@@ -191,7 +188,7 @@ def show_surface(
     tall, note = vertical_scale(height, pixel_size, known=unit == height_unit)
     axes: Any  # Axes3D, which has no types
     figure, axes = plt.subplots(figsize=(6.4, 4.4), subplot_kw={"projection": "3d"})
-    draw_surface(axes, height, pixel_size, labels=labels, unit=unit, turned=turned)
+    draw_surface(axes, height, pixel_size, labels=labels, unit=unit)
     axes.set_title(note)
     axes.set_box_aspect((cols, rows, tall * max(rows, cols)), zoom=0.9)
     axes.locator_params(nbins=5)
