@@ -66,13 +66,15 @@ def facets(entry: ledger.Entry) -> dict[str, str]:
 
 
 def number_of(what: str) -> int:
-    """Return one count: of a verdict, ``claims``, ``settings``, ``errata``, a class of errata,
-    ``causes`` of contradictions, or ``chosen`` assumptions.
+    """Return one count: of a verdict, ``claims``, ``settings``, ``unchecked`` results among
+    these, ``errata``, a class of errata, ``causes`` of contradictions, or ``chosen`` assumptions.
     """
     claims = ledger.claims().values()
     origins = Counter(entry["origin"] for entry in ledger.errata().values())
     counts = Counter(claim.label for claim in claims) | origins
     counts["claims"], counts["settings"] = len(claims), len(ledger.settings())
+    results = ("table-5.1", "table-5.5", "table-5.6/F")  # of the settings
+    counts["unchecked"] = sum(id.startswith(results) for id in ledger.settings())
     counts["errata"], counts["causes"] = len(ledger.errata()), len(ledger.causes())
     counts["chosen"] = sum(bool(getattr(claim, "chosen", "")) for claim in claims)
     return counts[what]

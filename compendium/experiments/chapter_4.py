@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import simpson
 
 from compendium import thesis
 from compendium.ledger import claim
+from microlib.embryo import dimple_geometry
 from microlib.membrane import (
     SmallSlopeWarning,
     elastic_modulus,
@@ -69,6 +71,23 @@ def probe_sines(half_widths: ArrayLike) -> NDArray:
     stress = membrane_stress(thesis.FORCE, a, INPUTS["dimple_depth"], **sizes)
     carried = thesis.FORCE * (1 - (c / a) ** 2)  # by the membrane; the pressure carries the rest
     return carried / (2 * np.pi * c * INPUTS["thickness"] * stress)
+
+
+def outlined_volumes() -> tuple[float, float]:
+    """Return the volumes (µm³) below the left and the right rim of the outline of Table 5.5.
+
+    Each half of the outline is turned about the lowest point of the dimple.
+    """
+    curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
+    bottom, _ = dimple_geometry(curve, pixel_size=pixel).bottom
+    maxima = curve.extrema()[0]
+    volumes = []
+    for side in (maxima[maxima < bottom], maxima[maxima > bottom]):
+        rim = side[curve(side).argmax()]
+        x = np.linspace(bottom, rim, 20_001)
+        volumes.append(abs(simpson((curve(rim) - curve(x)) * (x - bottom), x=x)))
+    left, right = 2 * np.pi * pixel**3 * np.array(volumes)
+    return float(left), float(right)
 
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:

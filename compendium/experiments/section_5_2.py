@@ -148,10 +148,11 @@ def printed_labels(column: str, found: Detection, like: Microscope) -> NDArray:
 
 
 def dependent_entries(column: str) -> dict[str, tuple[float, float]]:
-    """Return what Table 5.1's lengths T_op, f and d say of its entries M and T_z, with rounding.
+    """Return what Table 5.1's lengths T_op, f and d say of its entries M, d and T_z, with rounding.
 
-    M = T_op/f (2.12) and T_z = f + d (2.8); lengths in µm. The second number of each is what the
-    rounding of the lengths, of which five digits are known, changes in 95 % of random draws.
+    M = T_op/f (2.12), d = f²/T_op (2.20) and T_z = f + d (2.8); lengths in µm. The second number of
+    each is what the rounding of the lengths, of which five digits are known, changes in 95 % of
+    random draws.
 
     Examples
     --------
@@ -163,8 +164,13 @@ def dependent_entries(column: str) -> dict[str, tuple[float, float]]:
     lengths = np.array([thesis.table_5_1(column, name) for name in ("T_op", "f", "d")])
     half_units = 0.5 * 10.0 ** (np.floor(np.log10(lengths)) - 4)
     drawn = lengths + half_units * np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
+    formulas = {
+        "M": lambda t_op, f, d: t_op / f,
+        "d": lambda t_op, f, d: f**2 / t_op,
+        "T_z": lambda t_op, f, d: f + d,
+    }
     entries = {}
-    for name, follow in (("M", lambda t_op, f, d: t_op / f), ("T_z", lambda t_op, f, d: f + d)):
+    for name, follow in formulas.items():
         value = follow(*lengths)
         entries[name] = float(value), float(np.quantile(np.abs(follow(*drawn.T) - value), 0.95))
     return entries
@@ -204,7 +210,7 @@ def table_5_1(taken: Mapping[str, Photograph]) -> pd.DataFrame:
     rows: list[tuple] = []
     for column, photo in taken.items():
         follows = dependent_entries(column)
-        for name in ("M", *RECOVERED, "T_z"):
+        for name in ("M", "d", *RECOVERED, "T_z"):
             if name in follows:
                 value, rounding = follows[name]
                 found = value, value - rounding, value + rounding
@@ -307,14 +313,6 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
             off = points - scope.project(grid * pitch)
             table.loc[blur, name] = np.sqrt(np.mean(off**2))
     return table.astype(float)
-
-
-def distortions_apart(zoom: str) -> float:
-    """Return the difference of κ of both patterns in Table 5.1, over the larger one."""
-    circles, squares = (
-        thesis.table_5_1(f"{shape}-{zoom}", "kappa") for shape in ("circle", "square")
-    )
-    return abs(circles - squares) / max(abs(circles), abs(squares))
 
 
 def corner_shift(column: str) -> float:

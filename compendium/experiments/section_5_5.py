@@ -28,6 +28,7 @@ from microlib.synthetic import focal_stack, mixed_texture, parabolic_cylinder, s
 # Assumed, because the thesis does not say. Without noise (3.14) has nothing to correct.
 RIDGE_SHAPE, RIDGE_WIDTH, RIDGE_NOISE = (200, 200), 100.0, 5.0  # px, px, grey levels
 LABELED_WIDTH = 40.0  # px, at which all sentences on the surface types of the ridge hold
+LABELED_ROUGHNESS = 45.0  # µm, at which those on the ball hold
 BALL_SHAPE, BALL_RADIUS = (180, 180), 375.0  # px, µm
 BALL_ROUGHNESS, BALL_GRAIN, BALL_NOISE = 15.0, 3.0, 1.0  # µm, px, grey levels
 #: At 1X, µm.
@@ -389,6 +390,12 @@ def ball_shape(depth: NDArray) -> dict[str, float]:
     return departures
 
 
+def roughness(depth: NDArray) -> float:
+    """Return the standard deviation (µm) of a map from the smooth ball, on top as there."""
+    smooth = sphere_on_plane(BALL_SHAPE, BALL_RADIUS, BALL_PIXEL)
+    return float((depth - smooth)[from_ball_center() < 0.5].std())
+
+
 def mean_interval(values: pd.Series) -> tuple[float, float, float]:
     """Return the mean over scenes and the ends of its 95 % interval by Student's t.
 
@@ -419,10 +426,11 @@ def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:
     """
     rows: dict[str, list[dict[str, float]]] = {"printed": [], "corrected": [], "smooth": []}
     for run in range(seed, seed + runs):
-        ridge, ball = render_ridge(run, LABELED_WIDTH), render_ball(run)
+        ridge, ball = render_ridge(run, LABELED_WIDTH), render_ball(run, LABELED_ROUGHNESS)
         smooth = render_ball(run, roughness=0.0)
         depths = [thesis_depth(each.frames, each.positions)[0] for each in (ridge, ball, smooth)]
         found = ridge_sentences(ridge.height, thesis_labels(depths[0]))
+        found["not-smooth"] = roughness(depths[1]) / roughness(depths[2])
         rows["printed"].append(
             found | ball_sentences(thesis_labels(depths[1])) | ball_shape(depths[1])
         )

@@ -61,8 +61,11 @@ def depth_at_the_probe(depth: float) -> bool:
     y, c = curve(x), thesis.MEMBRANE["probe_half_width"] / thesis.EMBRYO_PIXEL
     bottom = x[x > 150][y[x > 150].argmin()]
     at_edge = thesis.EMBRYO_PIXEL * float(y.max() - curve(bottom - c))
-    modulus = thesis.modulus(printed("table-5.6/a"), at_edge)
-    return abs(at_edge - depth) < 0.05 and abs(modulus - 3.03) < 0.03
+    radius = thesis.EMBRYO_PIXEL * float(bottom - x[y.argmax()])
+    modulus = thesis.modulus(radius, at_edge)
+    return (
+        abs(at_edge - depth) < 0.05 and abs(modulus - 3.03) < 0.005 and abs(radius - 246.5) < 0.05
+    )
 
 
 def denominator_of_strain(divisor: float) -> bool:
@@ -194,6 +197,12 @@ def length_of_step(lengths: tuple[float, float]) -> bool:
     return bool(np.allclose(step * np.array(pixels), lengths, atol=1.0))
 
 
+def coordinate_in_pixels(divisor: float) -> bool:
+    """The length (2.21) over this divisor (µm) is the coordinate (2.22)."""
+    magnification, pitch = column("circle-1X")["M"], printed("section-5.1/basler-pixel-pitch")
+    return abs(magnification / divisor - magnification / pitch) < 1e-9
+
+
 def pixel_of_jacobian(length: float) -> bool:
     """(2.22) maps the width of a pixel on the sample, 9.9 µm over M, to one pixel."""
     magnification = column("circle-1X")["M"]
@@ -253,6 +262,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "section-5.4-error-share": (error_share, ("less than 3%", 0.03), ("3.2 %", 0.032)),
     "section-5.4-distance": (length_of_step, ("311 µm and 77 µm", (311, 77)), ("440", (440, 110))),
     "section-2.2.2-pixel-size": (pixel_of_jacobian, ("6.23 µm", 6.23), ("9.9 µm", 9.9)),
+    "equation-2.22": (coordinate_in_pixels, ("x_s ≈ x′_s =", 1.0), ("x_s ≈ x′_s/s_x", 9.9)),
     "equation-3.20": (slope_of_ramp, ("D_x ∗ S ∗ R", 1), ("−D_x ∗ S ∗ R", -1)),
     "section-5.5-saddle-convex": (saddle_ridge, ("also convex", 1), ("K < 0", -1)),
     "equation-3.7": (

@@ -13,15 +13,9 @@ def ridge():
     return section_5_5.render_ridge(9, section_5_5.LABELED_WIDTH)
 
 
-#: Of the sentence that is open, the condition under which it would hold.
-LIMITS = {"ball-top-cylindric": "> 0.5"}
-
-
 def fits(name: str, value: float) -> bool:
     """The number fulfills the sentence."""
-    limit = LIMITS.get(name) or ledger.claim(f"section-5.5/{name}").condition
-    sentence = ledger.Possible(id=name, what="", where="", limit=limit)
-    return not sentence.objection(value, value, value)
+    return not ledger.claim(f"section-5.5/{name}").objection(value, value, value)
 
 
 def described_ridge(height: np.ndarray) -> np.ndarray:
