@@ -116,12 +116,12 @@ def distance_of_the_plane(t_z: float) -> bool:
 
 
 def deviations(stds: tuple[float, float]) -> bool:
-    """Numbers between 0 and m with the mean a can have these standard deviations."""
+    """Five numbers between 0 and m with the mean a can have these standard deviations (n − 1)."""
     pairs = [
         [printed(f"table-5.2/square-{zoom}/{key}") for key in ("mean", "max")]
         for zoom in ("1X", "4X")
     ]
-    return all(s - 5e-4 <= np.sqrt(a * (m - a)) for s, (a, m) in zip(stds, pairs, strict=True))
+    return all(s - 5e-4 <= np.sqrt(5 / 4 * a * (m - a)) for s, (a, m) in zip(stds, pairs, strict=True))
 
 
 def error_share(share: float) -> bool:
@@ -257,7 +257,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "table-5.2-squares": (
         deviations,
         ("2.9101", (2.9101, 0.5316)),
-        ("2.317 and 0.461", (2.317, 0.461)),
+        ("2.318 and 0.461", (2.318, 0.461)),
     ),
     "section-5.4-error-share": (error_share, ("less than 3%", 0.03), ("3.2 %", 0.032)),
     "section-5.4-distance": (length_of_step, ("311 µm and 77 µm", (311, 77)), ("440", (440, 110))),
