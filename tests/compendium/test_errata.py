@@ -121,7 +121,9 @@ def deviations(stds: tuple[float, float]) -> bool:
         [printed(f"table-5.2/square-{zoom}/{key}") for key in ("mean", "max")]
         for zoom in ("1X", "4X")
     ]
-    return all(s - 5e-4 <= np.sqrt(5 / 4 * a * (m - a)) for s, (a, m) in zip(stds, pairs, strict=True))
+    return all(
+        s - 5e-4 <= np.sqrt(5 / 4 * a * (m - a)) for s, (a, m) in zip(stds, pairs, strict=True)
+    )
 
 
 def error_share(share: float) -> bool:
