@@ -94,6 +94,15 @@ def test_fit_is_better_and_wide_ridge_has_no_patches():
     assert (found["fit"] < found["best frame"]).all()
     assert found["all"].tolist() == [True, True, False, False]
     assert (found["spikes"] > found["corrected"]).all()
+    wide = found.loc[100.0]
+    assert (wide["crest-saddle-and-elliptic"] == 0).all()
+    assert (wide["crest-convex-cylindric"] > 0.5).all()
+
+
+def test_no_concave_pixel_lies_on_foot(ridge):
+    labels = section_5_5.thesis_labels(section_5_5.thesis_depth(ridge.frames, ridge.positions)[0])
+    foot = np.flatnonzero(np.diff(ridge.height[0] > 0))
+    assert not (labels[:, [*foot, *foot + 1]] == 8).any()
 
 
 def test_smooth_ball_has_fewer_cylindric_pixels():

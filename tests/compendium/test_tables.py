@@ -21,7 +21,7 @@ PRINTED = {
     "table-5.5": (8, 3, 6, 1, "169.9"),
     "table-5.6": (7, 1, 5, 0, "197.24"),
     "table-5.7": (1, 2, 0, 1, "0.05"),
-    "section-5.5": (9, 1, 5, 0, ">= 2"),  # sentences, with the number that decides each
+    "section-5.5": (10, 1, 5, 0, ">= 2"),  # sentences, with the number that decides each
 }
 
 
