@@ -87,7 +87,7 @@ def read_cards(app: Sphinx) -> dict[str, dict[str, Any]]:
         if entry:
             rows["The thesis says"] = [entry.says]
             rows["Verdict"] = lead(f"{entry.sign} {entry.label}", "claims", f"claim-{name}")
-            rows["Rests on"] = [" ".join(part.rawsource for part in grounds(entry))]
+            rows["Rests on"] = [" ".join(part.astext() for part in grounds(entry))]
             rows["Note"] = [entry.note]
         if record:
             rows["Made by"] = [code_of(record)]

@@ -5,7 +5,6 @@
   ``sentence`` each linked to the pages that treat it.
 - Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function;
   every numbered section and every mention of an item gets an anchor or a link, too.
-- The page of a function that returns a class without a page of its own lists what it holds.
 - A figure whose data were kept gets a link to them.
 
 Sphinx numbers equations and figures by itself; none of its extensions keeps another text's numbers.
@@ -13,23 +12,20 @@ Sphinx numbers equations and figures by itself; none of its extensions keeps ano
 
 from __future__ import annotations
 
-import inspect
 import re
 import shutil
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from functools import cache
-from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, get_args, get_type_hints
+from typing import Any, ClassVar
 
 import nbformat
 from book_surfaces import surface_script
 from book_tables import link, table
 from docutils import nodes
-from numpydoc.docscrape import NumpyDocString
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms.post_transforms import SphinxPostTransform
@@ -50,14 +46,15 @@ HEADING = re.compile(r"^#+ (\d(?:\.\d+)*) ", flags=re.M)
 MENTION = re.compile(
     r"\((?P<bare>\d\.\d+)\)|\b(?P<kind>Figure|Table|figure|table) (?P<number>\d\.\d+)(?!\.?\d)"
 )
+# The index of a symbol in plain text, and not in the id of a claim such as table-5.6/w_d.
+INDEX = re.compile(r"(?:(?<=\b[A-Za-zκζσ])|(?<=\b[uv][XY]))(?<!\w/\w)_([xy]{2}|op|[a-z])\b")
+QUOTED = (nodes.FixedTextElement, nodes.literal, nodes.math)
 # Where a link would nest, or change what is quoted.
 UNLINKED = (
-    nodes.FixedTextElement,
+    *QUOTED,
     nodes.Titular,
     nodes.reference,
     nodes.caption,
-    nodes.literal,
-    nodes.math,
     nodes.target,
     addnodes.desc_signature,
     addnodes.pending_xref,
@@ -245,6 +242,17 @@ def link_numbers(app: Sphinx, doctree: nodes.document) -> None:
             text.parent.replace(text, [*parts, nodes.Text(plain[end:])])
 
 
+def lower_indices(app: Sphinx, doctree: nodes.document) -> None:
+    """Write the index of a symbol such as T_z below its line, except in code."""
+    if app.env.docname.startswith("generated"):
+        return  # where T_z may be a parameter
+    for text in list(doctree.findall(nodes.Text)):
+        pieces = INDEX.split(text.astext())
+        if len(pieces) > 1 and not isinstance(text.parent, QUOTED):
+            kinds = (nodes.Text, lambda index: nodes.subscript(index, index))
+            text.parent.replace(text, [kinds[k % 2](one) for k, one in enumerate(pieces)])
+
+
 def ancestors(node: nodes.Node) -> Iterator[nodes.Node]:
     while node.parent is not None:
         node = node.parent
@@ -274,26 +282,6 @@ def escape_initials(
     lines[:] = [INITIAL.sub(r"\1\\\2", line) for line in lines]
 
 
-def show_result(
-    app: Sphinx, what: str, name: str, obj: object, options: Any, lines: list[str]
-) -> None:
-    """Append to a function's docstring the attributes of a result that has no page of its own."""
-    if not inspect.isfunction(obj):
-        return
-    try:
-        hint = get_type_hints(obj).get("return")
-    except NameError:  # a type that is imported for checks only
-        return
-    for result in (hint, *get_args(hint)):
-        if not (inspect.isclass(result) and is_dataclass(result)):
-            continue
-        face = import_module(".".join(result.__module__.split(".")[:2]))
-        if face.__name__.startswith("microlib.") and result.__name__ not in face.__all__:
-            lines += ["", f".. rubric:: Attributes of {result.__name__}", ""]
-            for one in NumpyDocString(inspect.getdoc(result) or "")["Attributes"]:
-                lines += [f"**{one.name}** : {one.type}", *(f"    {text}" for text in one.desc), ""]
-
-
 def copy_figures(app: Sphinx, error: Exception | None) -> None:
     if error is None and app.builder.format == "html" and FIGURES.exists():
         shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
@@ -302,11 +290,11 @@ def copy_figures(app: Sphinx, error: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     app.add_directive("map", Map)
     app.add_post_transform(TaggedFormulas)
+    app.connect("doctree-read", lower_indices, priority=100)  # before titles are collected
     app.connect("doctree-read", name_sections)
     app.connect("doctree-read", link_formulas)
     app.connect("doctree-read", link_data)
     app.connect("doctree-read", link_numbers)
     # After numpydoc, which rewrites the lines it is given.
     app.connect("autodoc-process-docstring", escape_initials, priority=900)
-    app.connect("autodoc-process-docstring", show_result, priority=900)
     app.connect("build-finished", copy_figures)

@@ -1,6 +1,7 @@
 """Change what the theme leaves: pages that ask other servers, and parts that not everyone can use.
 
-MathJax comes from a package on disk as one file; the inert thebe loader goes. Font preloads go too:
+MathJax comes from a package on disk, without its menu, which makes each formula a stop of the
+tabulator; the inert thebe loader goes. Font preloads go too:
 a browser refuses them for a page opened from a file, and loads the fonts from the style sheet
 anyway. The sidebar shows the part of the open page; the other parts are closed. The toggles of the
 contents get a name for screen readers, wide tables can be scrolled by keyboard, empty heads of
@@ -20,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
-from sphinx.util.fileutil import copy_asset_file
 
 from compendium import ROOT
 from microlib import __version__
 
-MATHJAX = "mathjax/tex-svg-full.js"
+# The parts of MathJax that pages load; the last comes with the one before it.
+MATHJAX = ("core", "a11y/assistive-mml", "input/tex", "output/svg", "output/svg/fonts/tex")
 # Regular expressions and their replacements in every page.
 HTML_FIXES: dict[str, str | Callable[[re.Match[str]], str]] = {
     r'<link rel="preload" as="font"[^>]*>': "",
@@ -43,8 +44,6 @@ HTML_FIXES: dict[str, str | Callable[[re.Match[str]], str]] = {
         )
     ),
     r"<th([^>]*)>(?:&nbsp;|<p></p>|\s)*</th>": r"<td\1></td>",
-    # A phone has no room for the ids of claims beside their verdicts.
-    r'class="dataframe"(?=>\s*<thead>\s*<tr[^>]*>\s*<th>claim</th>)': 'class="dataframe of-claims"',
     # A figure's file has two looks, the second for a dark page (`compendium.figures.style`).
     r'<img ([^>]*src="[^"]*_images/[^"]+\.svg)("[^>]*>)': (
         r'<img class="only-light" \1\2<img class="only-dark" \1#dark\2'
@@ -61,7 +60,8 @@ def package_folder(name: str) -> Path:
 
 def configure(app: Sphinx, config: Any) -> None:
     """Take the local MathJax, and say which version of the project the pages are of."""
-    config.mathjax_path = MATHJAX
+    config.mathjax_path = "mathjax/startup.js"
+    config.mathjax3_config = {"loader": {"load": MATHJAX[:-1]}}
     command = ["git", "-C", app.srcdir, "log", "-1", "--format=%cs"]
     day = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     config.html_context |= {"project_version": __version__, "project_day": day}
@@ -99,9 +99,10 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
     if error or app.builder.format != "html":
         return
     static = Path(app.outdir) / "_static"
-    (static / "mathjax").mkdir(parents=True, exist_ok=True)
-    source = package_folder("sphinx-mathjax-offline") / "static" / MATHJAX
-    copy_asset_file(str(source), str(static / MATHJAX))
+    source = package_folder("sphinx-mathjax-offline") / "static" / "mathjax"
+    for part in ("startup", *MATHJAX):
+        (static / "mathjax" / part).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source / f"{part}.js", static / "mathjax" / f"{part}.js")
     for page in Path(app.outdir).rglob("*.html"):
         html = page.read_text(encoding="utf-8")
         for pattern, replacement in HTML_FIXES.items():

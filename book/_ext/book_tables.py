@@ -12,8 +12,6 @@ from sphinx.config import Config
 
 #: A cell that holds a number, perhaps with a sign of comparison, is not broken on a phone.
 NUMBER = re.compile(r"[≤≥]?\s?[−+-]?\d[\d.,e+-]*")
-#: The index of a symbol of one letter.
-SYMBOL_INDEX = re.compile(r"(?<=\b[A-Za-zσ])_(op|\w)\b")
 
 
 def table(head: list[str], rows: list[list], *, ids: list[str] | None = None) -> nodes.table:
@@ -60,11 +58,7 @@ def section(name: str, title: str) -> nodes.section:
 
 
 def line(text: str, kind: str = "") -> nodes.paragraph:
-    """Return a paragraph; without a kind, the index of a symbol such as T_z is set as one."""
-    result = nodes.paragraph(text, "", classes=[kind] if kind else [])
-    for k, part in enumerate([text] if kind else SYMBOL_INDEX.split(text)):
-        result += nodes.subscript(part, part) if k % 2 else nodes.Text(part)
-    return result
+    return nodes.paragraph(text, text, classes=[kind] if kind else [])
 
 
 def span(text: str, kind: str) -> nodes.inline:
@@ -91,5 +85,13 @@ def disable_numfig(app: Sphinx, config: Config) -> None:
     config["numfig"] = False
 
 
+def widen_tables(app: Sphinx, doctree: nodes.document) -> None:
+    """Give a table with four columns or more the class by which it takes the margin's room."""
+    for one in doctree.findall(nodes.table):
+        if one.next_node(nodes.tgroup)["cols"] >= 4 and "claims" not in one["classes"]:
+            one["classes"].append("full-width")
+
+
 def setup(app: Sphinx) -> None:
+    app.connect("doctree-read", widen_tables)
     app.connect("config-inited", disable_numfig, priority=900)

@@ -156,7 +156,7 @@ class Claims(SphinxDirective):
         head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
         rows = [self.row(claim) for claim in chosen]
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
-        result["classes"] += ["claims", "cards"]
+        result["classes"].append("claims")
         data = {nodes.make_id(f"claim-{claim.id}"): facets(claim) for claim in chosen}
         script = f'<script type="application/json" id="claims-facets">{script_json(data)}</script>'
         return [raw_html(script), result]
@@ -211,7 +211,7 @@ class LedgerTable(SphinxDirective):
         if all(row[1].astext() == "–" for row in rows):  # only sentences
             head, *rows = ([first, *others] for first, _, *others in (head, *rows))
         result = table(head, rows)
-        result["classes"] += ["ledger", "cards"]
+        result["classes"].append("ledger")
         return [result]
 
     def row(self, claim: ledger.Claim) -> list[nodes.Node | list[nodes.Node]]:
@@ -225,7 +225,7 @@ class LedgerTable(SphinxDirective):
         found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
         rests = grounds(claim)
         if short:
-            rests = [line(re.split(r"(?<=\.) (?=[A-Z])", rests[0].rawsource)[0])]
+            rests = [line(re.split(r"(?<=\.) (?=[A-Z])", rests[0].astext())[0])]
         return [told, number, found, claim_link(self.env, claim), rests]
 
 

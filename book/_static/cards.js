@@ -10,14 +10,17 @@ addEventListener("DOMContentLoaded", () => {
   const NUMBERS = "article a:is([href*='#number-'], [href*='--number-'], table.as-printed *)";
   const cardOf = (link) => numberCards[/(?:#|--)(?:number|claim)-(.+)$/.exec(link?.hash)?.[1]];
 
+  // An index such as that of T_z stands below the line.
+  const write = (text) => text.split(/(?<=(?<![\p{L}\d_])\p{L})_([xy]{2}|op|[a-z])\b/u).map((part, k) => (k % 2 ? make("sub", { textContent: part }) : part));
+
   const tell = ({ title, label, rows }) => {
     const list = make("dl", {});
     for (const [name, text, address] of rows) {
-      const told = address ? make("a", { href: root + address, textContent: text }) : text;
-      if (name === "Verdict") told.className = `verdict verdict-${label}`;
-      list.append(make("dt", { textContent: name }), make("dd", {}, name === "Made by" ? make("pre", { textContent: text }) : told));
+      const told = address ? [make("a", { href: root + address, textContent: text })] : name === "Made by" ? [make("pre", { textContent: text })] : write(text);
+      if (name === "Verdict") told[0].className = `verdict verdict-${label}`;
+      list.append(make("dt", { textContent: name }), make("dd", {}, ...told));
     }
-    return [make("p", { className: "card-title", textContent: title }), list];
+    return [make("p", { className: "card-title" }, ...write(title)), list];
   };
 
   const card = make("div", { id: "number-card", className: "number-card", popover: "manual", role: "group", ariaLabel: "What is known of this number" });

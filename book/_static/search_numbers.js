@@ -20,7 +20,10 @@ globalThis.findNumber = query => {
   const unprinted = ([, text]) => text.includes("printed no number");
   values.sort((one, other) => unprinted(one) - unprinted(other));
   const all = [...(thesisNumbers[number] ?? []), ...values];
-  const found = [...new Map(all.map((entry) => [entry[2], entry])).values()];
+  // Of values, those with the unit that follows the number, if one does.
+  const unit = /\d\s*(µm|mm|px|MPa|µN|s|%|°)(?!\p{L})/u.exec(query)?.[1] ?? "";
+  const same = all.filter(([one, text]) => one !== "value" || text.includes(` ${unit}`));
+  const found = [...new Map(same.map((entry) => [entry[2], entry])).values()];
   // A whole number alone, as in "16 frames", is no question for a value.
   const whole = /^\d+$/.test(asked?.[2] ?? "") && asked[2] !== query.trim();
   return found.filter(([one]) => (kind ? one === kind : !(whole && one === "value")));

@@ -14,13 +14,15 @@
   const verdict = (gain, delay, jitter, calm) => {
     const slowest = Math.hypot(...poles(gain, delay)[0]);
     const first = `The magnitude of the largest pole is ${show(slowest)}, so `;
-    if (slowest >= 1) return [make("strong", {}, "Unstable. "), `${first}every error grows.`];
+    const edge = Math.abs(slowest - 1) < 1e-9; // the poles are exact to about 1e-12
+    if (edge) return [make("strong", {}, "At the limit of stability. "), `${first}an error neither grows nor vanishes.`];
+    if (slowest > 1) return [make("strong", {}, "Unstable. "), `${first}every error grows.`];
     const frames = settled(calm);
     const overshoot = Math.max(...calm) / STEP - 1;
     return [
       make("strong", {}, "Stable. "),
       `${first}an error finally shrinks by ${show(100 * (1 - slowest))} % per frame. ` +
-        (frames ? `The error stays within 5 % after ${frames} frames (${show(frames / 33)} s at 33 Hz). ` : `The error does not stay within 5 % in ${FRAMES} frames. `) +
+        (frames ? `The error stays within 5 % after ${frames} ${frames === 1 ? "frame" : "frames"} (${show(frames / 33)} s at 33 Hz). ` : `The error does not stay within 5 % in ${FRAMES} frames. `) +
         `The overshoot is ${show(100 * Math.max(overshoot, 0))} %. ` +
         `The jitter moves the feature with a standard deviation of ${show(jitter * noiseGain(gain, delay))} px.`,
     ];

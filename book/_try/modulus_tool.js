@@ -6,7 +6,7 @@
   const INPUTS = [
     ["force", "Force F", "µN", 1, 500, 0.01, 197.24],
     ["rimRadius", "Rim radius a", "µm", 20, 600, 0.01, 246.95],
-    ["dimpleDepth", "Dimple depth w_d", "µm", 1, 300, 0.01, 121.22],
+    ["dimpleDepth", "Dimple depth", "µm", 1, 300, 0.01, 121.22],
     ["probeHalfWidth", "Probe half-width c", "µm", 1, 100, 0.1, 25],
     ["thickness", "Membrane thickness h", "µm", 0.5, 10, 0.1, 3],
     ["poissonRatio", "Poisson ratio ν", "", 0, 0.5, 0.01, 0.5],
@@ -39,7 +39,7 @@
       line(toX(0), rim + deep + 14, toX(p.rimRadius), rim + deep + 14),
       text(`a = ${show(p.rimRadius)} µm`, toX(p.rimRadius / 2), rim + deep + 32, "middle"),
       line(toX(-p.rimRadius), rim, toX(-p.rimRadius), rim + deep),
-      text(`w_d = ${show(p.dimpleDepth)} µm`, toX(-p.rimRadius) + 6, rim - 10, "start"),
+      text(`depth ${show(p.dimpleDepth)} µm`, toX(-p.rimRadius) + 6, rim - 10, "start"),
       text(`2c = ${show(2 * p.probeHalfWidth)} µm`, width / 2 + probe / 2 + 8, 16, "start"),
     );
     return svg;
@@ -66,7 +66,7 @@
     warning.hidden = Boolean(wrong) || !(bends || steepness > STEEP);
     warning.textContent = bends
       ? "The dimple is less deep than two thicknesses. The formula omits bending, so the modulus is too high."
-      : `w_d/a = ${show(steepness)} is above ${STEEP}, so the slopes are not small. The functions disc_modulus and capsule_modulus ` +
+      : `The depth is ${show(steepness)} of the radius, above ${STEEP}, so the slopes are not small. The functions disc_modulus and capsule_modulus ` +
         "of microlib.membrane assume neither small slopes nor a uniform stress.";
     picture.replaceChildren(...(wrong ? [] : [dimple(picture.clientWidth || 340, p)]));
   };

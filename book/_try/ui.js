@@ -26,19 +26,21 @@
     const id = `try-${prefix}-${name}`;
     const text = unit ? `${label} (${unit})` : label;
     const slider = make("input", { type: "range", id, min, max, step, value });
-    const field = make("input", { type: "number", min, step: "any", value, "aria-label": `${text}, exact` });
+    // A field for numbers drops a decimal comma in silence, so that 12,5 would be 125.
+    const field = make("input", { type: "text", value, "aria-label": `${text}, exact` });
+    const read = () => (field.value.trim() ? Number(field.value.replace(",", ".")) : NaN);
     if (min >= 0) field.setAttribute("inputmode", "decimal");
     slider.addEventListener("input", () => {
       field.value = slider.value;
       changed();
     });
     field.addEventListener("input", () => {
-      slider.value = field.value; // the slider stops at its ends, the field does not
+      slider.value = read(); // the slider stops at its ends, the field does not
       changed();
     });
     return {
       row: make("div", { class: "try-control" }, make("label", { for: id }, text), slider, field),
-      get: () => field.valueAsNumber,
+      get: read,
       set: (number) => {
         slider.value = number;
         field.value = number;
