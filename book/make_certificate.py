@@ -5,7 +5,7 @@ lies beside the pages afterwards:
 
 - ``verdicts.json`` and ``scorecard.csv``: every printed number with its verdict,
 - ``certificate.json``: commit, machine, versions, times and hashes, which the page shows,
-- ``codecheck.yml``: what a codechecker compares, as https://codecheck.org.uk describes it,
+- ``codecheck.yml``: a copy of that of the project, which an independent codechecker completes,
 - ``ro-crate-metadata.json``: the same for programs, as https://w3id.org/ro/crate describes it.
 """
 
@@ -38,10 +38,10 @@ COMMAND = "make book"
 THESIS = "3D Reconstruction, Classification and Mechanical Characterization of Microstructures"
 AUTHOR = "Muhammet Ali Hocaoğlu"
 SOURCE = "Master's thesis, Sabancı University, 2008"
+#: What the build writes, each with a comment.
 MADE = {
-    "verdicts.json": "every printed number of the thesis, with the recomputed number and verdict",
-    "scorecard.csv": "the content of verdicts.json as a table",
-    "certificate.json": "commit, machine, versions, times and hashes of this build",
+    Path(entry["file"]).name: entry["comment"]
+    for entry in yaml.safe_load((ROOT / "codecheck.yml").read_text(encoding="utf-8"))["manifest"]
 }
 
 
@@ -114,22 +114,6 @@ def gather(scores: pd.DataFrame) -> dict:
     }
 
 
-def codecheck(certificate: dict) -> str:
-    """Return the configuration that a codechecker completes."""
-    manifest = [{"file": name, "comment": comment} for name, comment in MADE.items()]
-    content = {
-        "version": "https://codecheck.org.uk/spec/config/1.0/",
-        "manifest": manifest,
-        "paper": {"title": THESIS, "authors": [{"name": AUTHOR}], "reference": SOURCE},
-        "summary": f"{COMMAND} at commit {certificate['commit']} wrote these files.",
-    }
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-    missing = (
-        "# A codechecker adds: codechecker, report, check_time, certificate. None has so far.\n"
-    )
-    return f"---\n{missing}{text}"
-
-
 def crate(certificate: dict) -> ROCrate:
     """Return the description of the built book as a research object."""
     result = ROCrate()
@@ -199,7 +183,7 @@ def main(folder: Path) -> None:
         "scorecard.csv": scores.to_csv(index=False),
         "verdicts.json": scores.to_json(orient="records", force_ascii=False, indent=1),
         "certificate.json": json.dumps(certificate, indent=1, ensure_ascii=False) + "\n",
-        "codecheck.yml": codecheck(certificate),
+        "codecheck.yml": (ROOT / "codecheck.yml").read_text(encoding="utf-8"),
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

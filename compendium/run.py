@@ -15,11 +15,13 @@ folder ``--output``, and nothing is recorded against the thesis.
 from __future__ import annotations
 
 import argparse
+import ast
 import fcntl
 import hashlib
 import json
 import logging
 import os
+import re
 import shutil
 import signal
 import sys
@@ -41,7 +43,11 @@ from compendium.parameters import prepare_folder, read_values
 from microlib._common import replace_file
 
 BUILD = ROOT / "build"
+#: What is locked: for the book, for its optional pages, for tests, and for JupyterLab.
+LOCKS = [ROOT / f"{name}.txt" for name in ("environment", "extras", "test", "lab")]
 LAST = "06_"
+#: Notebooks that take twice as long as any other.
+LONGEST = ("05_", "08_uncertainty")
 #: What a run leaves of each notebook.
 LEFT = ("notebooks/{}.ipynb", "claims/{}.json", "logs/{}.txt", "status/{}.json")
 INTERRUPTED = 130  # as a shell reports what Ctrl-C ended
@@ -147,8 +153,14 @@ def build(names: Sequence[str], jobs: int, *, force: bool) -> None:
         keys = {name: key_of(name) for name in names if name.startswith(LAST) == is_last}
         todo = {n: key for n, key in keys.items() if force or not up_to_date(n, key)}
         print(*(f"  {name}: up to date\n" for name in keys if name not in todo), sep="", end="")
-        # The longest first, so that no core idles at the end; the longer has the larger file.
-        order = sorted(todo, key=lambda n: -(ROOT / "notebooks" / f"{n}.ipynb").stat().st_size)
+        # The longest first, so that no core idles at the end; of the others the larger file.
+        order = sorted(
+            todo,
+            key=lambda n: (
+                not n.startswith(LONGEST),
+                -(ROOT / f"notebooks/{n}.ipynb").stat().st_size,
+            ),
+        )
         calls = {name: partial(run, name, todo[name]) for name in order}
         for done, (name, message, passed) in enumerate(run_all(calls, jobs), 1):
             text = f"  [{done}/{len(order)}] {name}: {message}"
@@ -256,12 +268,23 @@ def run(name: str, key: str) -> tuple[str, bool]:
     for file in figures:
         os.replace(work / "figures" / file, BUILD / "figures" / file)
     shutil.rmtree(work)
-    checks = sum(entry["verdict"] != "result" for entry in records)
+    checks = sum(entry["verdict"] != "result" for entry in records) + count_checks(source)
     about |= {"seconds": round(perf_counter() - start, 1), "checks": checks, "figures": figures}
     write_json(status, about | {"failed": "" if passed else message})
     if passed:
         message += f", {checks} {'check' if checks == 1 else 'checks'} passed"
     return message, passed
+
+
+def count_checks(notebook: Path) -> int:
+    """Return the number of assertions and comparisons that a notebook does not record."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    code = ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    nodes = [node for text in code for node in ast.walk(ast.parse(re.sub("(?m)^%.*", "", text)))]
+    calls = [node.func for node in nodes if isinstance(node, ast.Call)]
+    names = [getattr(func, "id", getattr(func, "attr", "")) for func in calls]
+    compared = sum(name in ("check_equation", "compare") for name in names)
+    return compared + sum(isinstance(node, ast.Assert) for node in nodes)
 
 
 def write_json(path: Path, content: object) -> None:
@@ -302,11 +325,21 @@ def key_of(name: str) -> str:
     files += [p for p in (ROOT / "data").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     if name.startswith(LAST):
         files += [p for p in (BUILD / "claims").glob("*.json") if not p.name.startswith(LAST)]
-    packages = sorted(f"{one.name} {one.version}" for one in distributions())
+    packages = sorted(f"{name} {version}" for name, version in used_packages().items())
     digest = hashlib.sha256("\n".join([sys.version, *packages]).encode())
     for path in sorted(files):
         digest.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
+
+
+def used_packages() -> dict[str, str]:
+    """Return the versions of what is installed, without what only tests or JupyterLab add."""
+    book, extras, *others = (
+        set(re.findall(r"^([\w.-]+)==", lock.read_text(encoding="utf-8"), re.M)) for lock in LOCKS
+    )
+    without = set.union(*others) - book - extras
+    named = {re.sub("[-_.]+", "-", one.name).lower(): one.version for one in distributions()}
+    return {name: version for name, version in named.items() if name not in without}
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 from setuptools import find_packages
@@ -53,14 +54,17 @@ def locked(name: str) -> dict[str, str]:
     return dict(re.findall(r"^([\w.-]+)==([^ \\;]+)", text, flags=re.M))
 
 
-def test_the_extras_are_locked_and_keep_to_the_environment():
-    extras, environment = locked("extras.txt"), locked("environment.txt")
-    apart = {n: (v, environment[n]) for n, v in extras.items() if environment.get(n, v) != v}
-    assert not apart
-    optional = PROJECT["project"]["optional-dependencies"]
-    for group in ("dask", "microscope"):
-        for text in optional[group]:
+@pytest.mark.parametrize(
+    ("file", "groups"),
+    [("extras.txt", ["dask", "microscope"]), ("test.txt", ["test"]), ("lab.txt", ["lab"])],
+)
+def test_each_lock_keeps_to_the_environment_and_has_its_groups(file, groups):
+    versions, environment = locked(file), locked("environment.txt")
+    assert not {n: (v, environment[n]) for n, v in versions.items() if environment.get(n, v) != v}
+    for group in groups:
+        for text in PROJECT["project"]["optional-dependencies"][group]:
             need = Requirement(text)
-            assert need.specifier.contains(extras[need.name]), text
-    text = (ROOT / "extras.txt").read_text(encoding="utf-8")
-    assert text.count("--hash=sha256:") >= len(extras)
+            version = (versions | environment)[need.name]
+            assert need.specifier.contains(version), text
+    text = (ROOT / file).read_text(encoding="utf-8")
+    assert text.count("--hash=sha256:") >= len(versions)
