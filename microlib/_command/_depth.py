@@ -91,7 +91,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     result = replace(_within(result, a.max_uncertainty), pixel_size=size)
     maps = (result.depth, result.uncertainty, result.index, result.all_in_focus)
     for (name, what), values in zip(_MAPS.items(), maps, strict=True):
-        about = {"pixel_size": size, "what": what.format(unit=result.unit)}
+        about: dict[str, Any] = {"pixel_size": size, "what": what.format(unit=result.unit)}
         session.write(name, partial(io.write_height_tiff, height=values, **about))
     sharp = result.all_in_focus
     if sharp.dtype != np.uint8:
