@@ -22,8 +22,8 @@ from benchmarks.report import Limits, Tables, rms
 from microlib import synthetic
 from microlib.focus import depth_from_focus
 from microlib.focus.multiscale._depth import RULES, FocusSettings, multiscale_depth
-from tests.focus.scenes import NAMES
 from tests.scenes import straight_step, tilted_plane
+from tests.scenes.focus import NAMES
 from tests.scenes.photographs import grey_levels, middle, photograph
 
 #: Frames of every stack, 1 µm apart; blur grows by 1 px a frame.

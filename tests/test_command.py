@@ -21,17 +21,16 @@ import tifffile
 from matplotlib.figure import Figure
 from PIL import Image
 
-from compendium.experiments.section_5_3 import texture_sequence
 from microlib import calibration, io, membrane, tracking
 from microlib.__main__ import main
 from microlib.embryo import dimple_from_outline
 from microlib.estimate import Estimate
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.synthetic import focal_stack, mixed_texture
-from tests.calibration.scenes import ruled
 from tests.checks import hold_same
-from tests.io.make import read_ply, read_stl, varied_times
-from tests.scenes import straight_step
+from tests.scenes import moving_square, straight_step
+from tests.scenes.calibration import ruled
+from tests.scenes.files import read_ply, read_stl, varied_times
 
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ROOT / "data" / "synthetic"
@@ -433,7 +432,7 @@ def test_advice_depends_on_the_calibration(
 def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, figures):
     """A part that is lost in one frame, in 16 bits; the same run again gives the same table."""
     way = [(60 + 2.5 * k, 60 - k) for k in range(6)]
-    frames = np.stack(texture_sequence(way, np.random.default_rng(1))).astype(np.uint16) * 200
+    frames = np.stack(moving_square(way, np.random.default_rng(1))).astype(np.uint16) * 200
     frames[4] //= 2
     frames[3] = np.random.default_rng(2).integers(0, 50000, frames[3].shape)
     tifffile.imwrite(tmp_path / "film.tif", frames)
@@ -476,7 +475,7 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
 
 def test_track_takes_the_times_of_the_film_unless_a_rate_is_given(tmp_path, capsys):
     way = [(60 + 2.5 * k, 60) for k in range(10)]
-    frames = texture_sequence(way, np.random.default_rng(0))
+    frames = moving_square(way, np.random.default_rng(0))
     size = frames[0].shape[::-1]
     path = tmp_path / "film.mp4"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 20, size, False)
@@ -503,7 +502,7 @@ def test_track_takes_the_times_of_the_film_unless_a_rate_is_given(tmp_path, caps
 
 def test_truncated_film_keeps_the_rows_before_its_end(tmp_path, capsys):
     way = [(60 + 2.5 * k, 60) for k in range(30)]
-    frames = texture_sequence(way, np.random.default_rng(0))
+    frames = moving_square(way, np.random.default_rng(0))
     film = tmp_path / "cut.avi"
     size = frames[0].shape[::-1]
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, size, False)

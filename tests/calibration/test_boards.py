@@ -19,7 +19,7 @@ from microlib.calibration.detection._circles import Circles
 from microlib.calibration.detection._image import GreyImage
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.calibration.detection._squares import Squares
-from tests.calibration.scenes import PHOTOGRAPHS, SQUARE, board, camera, chessboard
+from tests.scenes.calibration import PHOTOGRAPHS, SQUARE, board, camera, chessboard
 
 DETECT = {"circle": detect_circles, "square": detect_squares}
 DETECTORS = {

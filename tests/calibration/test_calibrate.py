@@ -22,7 +22,7 @@ from microlib.calibration import (
     radial_alignment,
 )
 from microlib.microscope import Microscope
-from tests.calibration.scenes import SCOPE, SENSOR, grid_in_view, imperfect_projection
+from tests.scenes.calibration import SCOPE, SENSOR, grid_in_view, imperfect_projection
 
 F, M = SCOPE.focal_length, SCOPE.magnification
 POSE = ("alpha", "beta", "gamma", "tx", "ty")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from microlib.calibration import detect_charuco, detect_pattern, detect_squares
-from tests.calibration.scenes import photograph
+from tests.scenes.calibration import photograph
 
 FIELD = 60  # px of a field of the drawn board
 

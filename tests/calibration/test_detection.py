@@ -12,14 +12,23 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from compendium import thesis
 from microlib.calibration import detect_circles, detect_squares
 from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
-from tests.calibration.scenes import outline
+from tests.scenes.calibration import outline
 
 SMALL = Microscope(2e5, 1e5, 5e4, tx=-700, ty=-560, pixel_pitch=9.9, image_size=(300, 240))
-CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = map(thesis.microscope, thesis.COLUMNS)
+SENSOR = {"pixel_pitch": 9.9, "image_size": (656, 491)}
+#: The four microscopes of Table 5.1: lengths, distortion, angles and shifts.
+CIRCLE_1X, CIRCLE_4X, SQUARE_1X, SQUARE_4X = (
+    Microscope(*parameters, **SENSOR)
+    for parameters in (
+        (200490, 126150, 78750, -8.4e-10, 1.5833, -0.0487, 3.0703, -781.4, -55.002),
+        (200610, 31415, 4955.5, 1.5e-11, 1.5530, 0.0460, 0.0159, 76.755, -156.58),
+        (199690, 122990, 75441, 2.1e-10, 1.5235, -0.0284, 3.1008, -1792.7, -1210.3),
+        (200880, 31174, 4833.5, 1.5e-10, 1.6653, -0.0339, 3.1118, -1653.1, -1194.5),
+    )
+)
 
 
 def box_edge(x, edge, blur):

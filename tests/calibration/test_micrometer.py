@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import t as student
 
 from microlib.calibration import detect_micrometer
-from tests.calibration.scenes import SHAPE, ruled, scale
 from tests.checks import hold_sigma
+from tests.scenes.calibration import SHAPE, ruled, scale
 
 HEIGHT, WIDTH = SHAPE
 

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from microlib import calibration
 from microlib.calibration import Calibration, calibrate, detect_micrometer, stage_affine
 from tests.calibration import test_boards
-from tests.calibration.scenes import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 from tests.checks import (
     NO_TEXT,
     NOT_POSITIVE,
@@ -24,6 +23,7 @@ from tests.checks import (
     no_array,
     not_finite,
 )
+from tests.scenes.calibration import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 
 WORLD = grid_in_view(SCOPE)[::3]
 IMAGE = SCOPE.project(WORLD) + np.random.default_rng(5).normal(0, 0.02, WORLD.shape)

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from microlib.calibration import Calibration, calibrate, stage_affine
-from tests.calibration.scenes import MOVES, SCOPE, SENSOR, grid_in_view
 from tests.checks import hold_coverage
+from tests.scenes.calibration import MOVES, SCOPE, SENSOR, grid_in_view
 
 
 def turned(scale, angle, *, mirrored=False):

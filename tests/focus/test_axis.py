@@ -6,8 +6,8 @@ from scipy.ndimage import uniform_filter
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.focus.scenes import inner, rms, stack_of
 from tests.scenes import tilted_plane
+from tests.scenes.focus import inner, rms, stack_of
 
 SHAPE = (92, 100)
 HEIGHT = 7.2 + tilted_plane(SHAPE, 5 / 96, 2 / 96)

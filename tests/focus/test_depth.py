@@ -7,8 +7,8 @@ import pytest
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian
-from tests.focus.scenes import NAMES, inner, rms, stack_of
 from tests.scenes import straight_step, tilted_plane
+from tests.scenes.focus import NAMES, inner, rms, stack_of
 
 #: Distance of the frames in most stacks here, µm; a step out of focus adds 1 px of blur.
 STEP = 25.0

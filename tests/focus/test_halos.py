@@ -8,8 +8,8 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.focus.scenes import stack_of
 from tests.scenes import straight_step, tilted_plane
+from tests.scenes.focus import stack_of
 
 SHAPE = (168, 160)
 POSITIONS = np.arange(15.0)

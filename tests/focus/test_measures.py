@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from microlib.focus import depth_from_focus, sum_modified_laplacian
-from tests.focus.scenes import MEASURES
+from tests.scenes.focus import MEASURES
 
 
 def printed_sml(image: np.ndarray, w: int, step: int, threshold: float) -> np.ndarray:

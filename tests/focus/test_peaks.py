@@ -18,8 +18,8 @@ from microlib.focus.multiscale import (
     _tiles,
     multiscale_depth,
 )
-from tests.focus.scenes import gaussian_blur, inner, rms, stack_of
 from tests.scenes import tilted_plane
+from tests.scenes.focus import gaussian_blur, inner, rms, stack_of
 
 
 @settings(deadline=None, max_examples=100)

@@ -31,8 +31,8 @@ from tests.checks import (
     no_array,
     no_map,
 )
-from tests.focus.scenes import NAMES, inner, rms, stack_of
 from tests.scenes import tilted_plane
+from tests.scenes.focus import NAMES, inner, rms, stack_of
 
 SHAPE = (44, 60)
 #: Uneven positions that fall, and a slope beside a step, µm.

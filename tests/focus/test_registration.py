@@ -17,12 +17,11 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
-from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
 from microlib.io import read_frames
-from tests.focus.scenes import defocused, inner, rms
 from tests.scenes import camera_frame
+from tests.scenes.focus import defocused, disc_blur, inner, rms
 
 SIDE, MARGIN, COUNT = 160, 24, 15
 POSITIONS = np.arange(float(COUNT))

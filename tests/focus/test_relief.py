@@ -6,8 +6,8 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.focus.scenes import inner, rms, stack_of
 from tests.scenes import straight_step, tilted_plane
+from tests.scenes.focus import inner, rms, stack_of
 
 SHAPE = (150, 144)
 POSITIONS = np.arange(15.0)

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from skimage import data
 
-from compendium.experiments.rendering import disc_blur
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.focus.scenes import NAMES, defocused, gaussian_blur, inner, rms, stack_of
 from tests.scenes import camera_frame, tilted_plane
+from tests.scenes.focus import NAMES, defocused, disc_blur, gaussian_blur, inner, rms, stack_of
 
 KINDS = ("white", "quantized", "smoothed", "demosaiced", "jpeg", "cropped jpeg")
 

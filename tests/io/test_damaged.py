@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from microlib.io import read_frames, read_grey
-from tests.io import make
+from tests.scenes import files as make
 
 
 def rejects(source: object, words: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from microlib import io
-from tests.io.make import read_ply, read_stl
+from tests.scenes.files import read_ply, read_stl
 
 
 @pytest.fixture

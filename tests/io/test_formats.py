@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
 from microlib.io import read_frames, read_grey
-from tests.io import make
 from tests.io.conftest import COUNT
+from tests.scenes import files as make
 
 
 def assert_frames(source: object, expected: NDArray, **options: object) -> None:

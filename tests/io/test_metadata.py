@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from microlib.io import read_frames
-from tests.io.make import GREY, ome_text, tiff
+from tests.scenes.files import GREY, ome_text, tiff
 
 STACK = np.arange(3 * 8 * 10, dtype=np.uint8).reshape(3, 8, 10)
 

@@ -18,7 +18,7 @@ from tests.checks import (
     no_array,
     no_map,
 )
-from tests.io.make import read_ply, read_stl
+from tests.scenes.files import read_ply, read_stl
 
 SHAPE = (29, 41)
 Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])

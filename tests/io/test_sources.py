@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from microlib.focus import depth_from_focus
 from microlib.io import read_frames, write_height_tiff
 from tests.io.conftest import COUNT
-from tests.io.make import Lazy, pictures, tiff, varied_times
+from tests.scenes.files import Lazy, pictures, tiff, varied_times
 
 
 def read_stack(source: object, **options: bool | int) -> NDArray:

@@ -29,6 +29,30 @@ def camera_frame(
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
+def moving_square(
+    corners: NDArray, rng: np.random.Generator, size: int = 50
+) -> list[NDArray[np.uint8]]:
+    """Return frames of a textured square over another texture; `corners` (x, y) are its first px.
+
+    The square is moved by splines of the fifth order, and covers parts of pixels at its edges.
+    """
+    width, height = (np.ceil(np.max(corners, axis=0)) + 2 * size).astype(int)
+    ground = mixed_texture((height, width), rng, std=45.0, scales=1.0)
+    square = np.pad(mixed_texture((size, size), rng, std=45.0, scales=1.0), 8, mode="wrap")
+    cover = np.pad(np.ones((size, size)), 8)
+    frames = []
+    for corner in np.asarray(corners):
+        column, row = np.floor(corner).astype(int)
+        part = (corner - [column, row])[::-1]
+        moved, share = (ndimage.shift(a, part, order=n) for a, n in ((square, 5), (cover, 1)))
+        image = ground.copy()
+        below = image[row : row + size + 1, column : column + size + 1]
+        inside = np.s_[8 : 9 + size, 8 : 9 + size]
+        below += share[inside] * (moved[inside] - below)
+        frames.append(camera_frame(image, rng))
+    return frames
+
+
 class WarpedPair(NamedTuple):
     """Two frames, the box (x, y, width, height) of a template, and its corners in the second."""
 

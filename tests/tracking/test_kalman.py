@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from compendium.experiments.section_5_3 import texture_sequence
 from microlib.tracking import ESMTracker, KalmanFilter
+from tests.scenes import moving_square
 
 INTERVAL, ACCELERATION, NOISE = 0.03, 300.0, 0.2
 
@@ -50,7 +50,7 @@ def test_velocity_is_known_after_two_frames():
 
 def test_lost_template_is_searched_where_the_filter_predicts_it():
     way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
-    frames = texture_sequence(way, np.random.default_rng(0), size=40)
+    frames = moving_square(way, np.random.default_rng(0), size=40)
     middle = way[0] + 19.5
     filtered = KalmanFilter(middle, interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     tracker = ESMTracker(frames[0], (20, 31, 40, 40), "translation", kalman=filtered)

@@ -36,6 +36,15 @@ def gaussian_blur(image: NDArray, sigma: float) -> NDArray:
     return cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3))
 
 
+def disc_blur(image: NDArray, radius: float) -> NDArray:
+    """Convolve an image with a uniform disc, drawn eight times finer than a pixel."""
+    reach = int(np.ceil(radius)) + 1
+    place = (np.arange(8 * (2 * reach + 1)) + 0.5) / 8 - reach - 0.5
+    fine = (np.hypot(place[:, None], place) <= max(radius, 0.3)).astype(np.float32)
+    kernel = cv2.resize(fine, (2 * reach + 1,) * 2, interpolation=cv2.INTER_AREA)
+    return cv2.filter2D(image, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REFLECT)
+
+
 def defocused(
     texture: NDArray, blurs: NDArray, spread: Callable[[NDArray, float], NDArray]
 ) -> NDArray:
