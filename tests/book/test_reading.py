@@ -31,7 +31,7 @@ TASKS = {
                     "-p frames my_film.mp4"),
     "what is not known and why": ("article a:has-text('How a verdict')",
                                   ".verdict-map a[title^='5.6'][title*='open']",
-                                  "The page image of figure 5.18"),
+                                  "The page image of Table 5.5"),
     "how to cite": ("@software{microlib",),
     "which function of an equation": ("?q=(3.10)", "ul.search li a", "in code: "),
     "chapter 3 with another window": ("article a:has-text('how it was done')",
