@@ -1,9 +1,12 @@
-"""Where the tests find what `make html` built; property tests draw the same examples each time."""
+"""Where the tests find what `make html` built; what each test leaves as it was."""
 
+import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -28,6 +31,29 @@ def _closed() -> Iterator[None]:
     yield
     if pyplot := sys.modules.get("matplotlib.pyplot"):
         pyplot.close("all")
+
+
+def process_state() -> dict[str, object]:
+    """Return what a call must leave as it was, also after an error and after Ctrl-C."""
+    style = sys.modules.get("matplotlib")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST_", "KMP_"))}
+    return {
+        "handlers of signals": {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)},
+        "style of Matplotlib": dict(style.rcParams) if style else None,
+        "environment": environment,
+        "folder": Path.cwd(),
+        "floating-point errors": np.geterr(),
+    }
+
+
+@pytest.fixture(autouse=True)
+def _process_is_as_before() -> Iterator[None]:
+    """Fail if a test, and thus a call in it, changed the state of the process."""
+    before = process_state()
+    yield
+    after = process_state()
+    changed = [name for name, value in before.items() if value not in (None, after[name])]
+    assert not changed, f"the test changed {changed}"
 
 
 @pytest.fixture(scope="session")

@@ -73,7 +73,8 @@ def test_json_describes_the_camera_to_other_programs():
     scopes = [scope, replace(scope, alpha=-0.4, beta=-0.25, gamma=0.1)]
     worlds = [grid_in_view(each) for each in scopes]
     images = [each.project(world) for each, world in zip(scopes, worlds, strict=True)]
-    content = json.loads(calibrate(worlds, images, **SENSOR).to_json())
+    found = calibrate(worlds, images, **SENSOR)
+    content = json.loads(found.to_json())
     camera = content["opencv"]
     assert camera["distortion_model_error_px"] < 0.01
     lens = [np.array(camera[n]) for n in ("camera_matrix", "distortion_coefficients")]
@@ -85,7 +86,11 @@ def test_json_describes_the_camera_to_other_programs():
     assert content["imagej"]["pixel_width"] == pytest.approx(width)
     assert content["imagej"]["pixel_height"] == pytest.approx(height)
     # The root of the area, as Micro-Manager has it of an affine map.
-    assert content["micro_manager"]["PixelSizeUm"] == pytest.approx(np.sqrt(width * height))
+    mean = content["micro_manager"]["PixelSizeUm"]
+    assert mean == pytest.approx(np.sqrt(width * height))
+    pixel = found.um_per_pixel
+    relative = np.divide(pixel.interval, pixel.value)
+    np.testing.assert_allclose(np.divide(content["pixel_size_interval_um"], mean), relative)
 
 
 def test_json_describes_a_wide_angle_to_opencv():

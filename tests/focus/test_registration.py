@@ -264,6 +264,19 @@ def test_foreign_frame_is_reported_and_left_out() -> None:
     assert ratio("dome", 1, result.depth) < 1.25 * ratio("dome", 1, rest.depth)
 
 
+def test_frame_left_out_of_a_moving_stack_adds_no_depth_at_the_border() -> None:
+    frames, _ = scene("flat", 2)
+    stack = disturbed(frames, 2, shift=1.0)
+    others = np.delete(np.arange(COUNT), 9)
+    rest = depth_from_focus(stack[others], POSITIONS[others], register=True)
+    stack[9] = disturbed(scene("dome", 9)[0], 1)[9]
+    with pytest.warns(UserWarning, match="frames 9 cannot be registered: left out"):
+        found = depth_from_focus(stack, POSITIONS, register=True)
+    np.testing.assert_array_equal(np.isnan(found.depth), np.isnan(rest.depth))
+    np.testing.assert_array_equal(np.searchsorted(others, found.index), rest.index.clip(0))
+    assert np.isnan(found.depth).sum() > 500
+
+
 def test_stacks_without_a_common_scene_are_rejected() -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (COUNT, 96, 96)).astype(np.uint8)

@@ -97,3 +97,8 @@ def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float)
         shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (thin * (steepness * A) ** 3)
         # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
         assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
+
+
+def test_default_pressure_is_that_which_balances_the_force() -> None:
+    given = indent_disc(F, A, modulus=1.3, pressure=F / (np.pi * A**2), **DISC)
+    assert indent_disc(F, A, modulus=1.3, **DISC).depth == pytest.approx(given.depth, rel=1e-9)

@@ -189,6 +189,8 @@ def test_depth_of_a_plate_warns(depth: float, times: float) -> None:
     with pytest.warns(UserWarning, match="because the model omits bending") as caught:
         moduli = [float(model(plate, 250.0, depth, **FILM)) for model in MODELS]
     assert len(caught) == 3
+    with pytest.warns(UserWarning, match="because the model omits bending"):
+        elastic_modulus(plate, 250.0, [20.0, depth], **FILM)  # beside a deeper dimple
     assert moduli[0] > times * 1.3
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -102,6 +102,7 @@ def test_fault_ends_the_run_and_stops_the_stage(fault, first):
     assert run.log["event"].iloc[-1] == run.reason
     assert run.still == (fault != "never arrives")
     assert (run.error is None) == reason.startswith(("^lost", "^the stage", OFF))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert farthest <= 1.02  # 1000 µm/s over the 2 ms between two polls of the stage
     before = scope.workstation.feature
     scope.workstation.clock.sleep(1.0)
