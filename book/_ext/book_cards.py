@@ -7,13 +7,12 @@ are in one script, which the pages with such numbers load.
 from __future__ import annotations
 
 import ast
-import json
 import re
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import nbformat
+from book_tables import write_script
 from book_test_sources import place_of_test
 from book_verdicts import CLAIMS, every_entry, grounds, printed, records
 from docutils import nodes
@@ -105,13 +104,11 @@ def read_cards(app: Sphinx) -> dict[str, dict[str, Any]]:
 
 def write_cards(app: Sphinx, error: Exception | None) -> None:
     if error is None and app.builder.format == "html":
-        path = Path(app.outdir) / "_static" / "number_cards.js"
-        text = json.dumps(read_cards(app), ensure_ascii=False)
-        path.write_text(f"globalThis.numberCards = {text};\n", encoding="utf-8")
+        write_script(app, "number_cards.js", "numberCards", read_cards(app))
 
 
 def load_cards(app: Sphinx, page: str, template: str, context: Any, doctree: Any) -> None:
-    if re.search(r'href="[^"]*#(number|claim)-', context.get("body", "")):
+    if page == "search" or re.search(r'href="[^"]*#(number|claim)-', context.get("body", "")):
         app.add_js_file("number_cards.js", loading_method="defer")
 
 

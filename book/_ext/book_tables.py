@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
@@ -68,6 +69,13 @@ def span(text: str, kind: str) -> nodes.inline:
 def script_json(data: object) -> str:
     """Return data for an element ``<script type="application/json">``, which no text may end."""
     return json.dumps(data, ensure_ascii=False).replace("<", "\\u003c")
+
+
+def write_script(app: Sphinx, file: str, name: str, data: object) -> None:
+    """Write data as a script, which is all that a page opened from a file can read."""
+    text = json.dumps(data, ensure_ascii=False)
+    path = Path(app.outdir) / "_static" / file
+    path.write_text(f"globalThis.{name} = {text};\n", encoding="utf-8")
 
 
 def raw_html(text: str) -> nodes.raw:

@@ -32,6 +32,13 @@ globalThis.findNumber = query => {
 addEventListener("DOMContentLoaded", () => {
   const results = document.getElementById("search-results");
   if (!results || !globalThis.thesisNumbers) return;
+  // The numbers of claims are on their cards.
+  for (const [name, { title, label, rows }] of Object.entries(numberCards)) {
+    const { Printed: printed, Recomputed: found } = Object.fromEntries(rows);
+    const text = `${title}: printed ${printed}${found ? `, recomputed ${found}` : ""}: ${label}`;
+    const numbers = label === "result" ? [] : `${printed} ${found ?? ""}`.match(/-?\d[\d.]*(?:e[+-]?\d+)?/g);
+    for (const number of new Set(numbers)) (thesisNumbers[number] ??= []).push(["value", text, `claims.html#claim-${name}`]);
+  }
   const found = findNumber(new URLSearchParams(location.search).get("q") ?? "");
   if (!found.length) return;
   const list = document.createElement("ul");

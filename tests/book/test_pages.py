@@ -63,6 +63,11 @@ def fits_and_is_drawn(page: Page, name: str) -> None:
         page.evaluate("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
         excess = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         assert excess <= 0, f"{name} is {excess} px wider than its screen"
+        tables = page.locator(".pst-scrollable-table-container")
+        cut = tables.evaluate_all(
+            "all => all.filter(e => e.scrollWidth > e.clientWidth + 1).length"
+        )
+        assert width > min(LEAST) or cut == 0, f"{name} has tables wider than a phone"
         # The box of a glyph reaches a few px past what is drawn of it.
         wrong = [one for one in formulas(page) if one[1] < least or one[2] > 6]
         assert wrong == [], f"{name}, {width} px wide"
