@@ -33,7 +33,7 @@ LEVEL = 1e-3
 
 RAGGED = [[1.0], [1.0, 2.0]]
 #: What neither a number nor an array of numbers is.
-BROKEN = [
+BROKEN: list[Any] = [
     *(None, np.nan, np.array(np.nan), np.inf, "text", "1", 1j, {}, [], RAGGED),
     np.ma.array(1.0, mask=True),
 ]
@@ -42,7 +42,7 @@ NEGATIVE = [*NO_NUMBER, -1]
 NOT_POSITIVE = [*NEGATIVE, 0]
 #: What is no whole number above zero.
 NO_COUNT = [*NOT_POSITIVE, 1.5]
-NO_TEXT = [None, "another", 3, b"x", []]
+NO_TEXT: list[Any] = [None, "another", 3, b"x", []]
 
 
 class Wrong(NamedTuple):
@@ -326,7 +326,7 @@ each_view = pytest.mark.parametrize("view", VIEWS, ids=lambda view: view.name)
 
 
 def follows_view(
-    view: View, call: Callable[..., NDArray], *images: NDArray, **tolerance: float
+    view: View, call: Callable[..., NDArray], *images: NDArray, **tolerance: Any
 ) -> None:
     """Fail unless the map of images that are seen otherwise is the map seen otherwise."""
     wanted = view.image(call(*images))
