@@ -80,7 +80,7 @@ def read_cards(app: Sphinx) -> dict[str, dict[str, Any]]:
     cards: dict[str, dict[str, Any]] = {}
     for name in entries | records():
         entry, record = entries.get(name), records().get(name)
-        rows = {"Printed": [printed(entry) if entry else "no such number"]}
+        rows = {"Printed": [printed(entry) if entry else "the thesis prints no such number"]}
         if record:
             rows["Recomputed"] = [str(record)]
         if entry:
@@ -95,7 +95,7 @@ def read_cards(app: Sphinx) -> dict[str, dict[str, Any]]:
         if entry and entry.test:
             rows["Test"] = lead(entry.test, *place_of_test(entry.test))
         cards[nodes.make_id(f"number-{name}").removeprefix("number-")] = {
-            "title": f"{entry.what} ({entry.where})" if entry else name,
+            "title": f"{entry.what} ({entry.where})" if entry else f"Number {name} of this book",
             "label": entry.label if entry else "result",
             "rows": [[row, *texts] for row, texts in rows.items() if texts[0]],
         }
