@@ -88,10 +88,14 @@ def hold_refused(
     """Fail unless a valid call is refused with each wrong value in place of an argument.
 
     The message names the argument, or has the pattern of a `Wrong` value. What is wrong may be a
-    function of the valid value; None is allowed where it is the default.
+    function of the valid value; None is allowed where it is the default. An argument that is not
+    listed takes one of several words, a whole number or a number above zero, or a finite array.
     """
     known, found = inspect.signature(function).parameters, []
-    for name, values in wrong.items():
+    by_kind = {str: NO_TEXT, int: NO_COUNT, float: NOT_POSITIVE, np.ndarray: no_array}
+    by_kind[tuple] = no_array
+    usual = {name: by_kind[type(value)] for name, value in given.items() if type(value) in by_kind}
+    for name, values in (usual | dict(wrong)).items():
         for value in values(given[name]) if callable(values) else values:
             if value is None and name in known and known[name].default is None:
                 continue

@@ -90,13 +90,7 @@ FILM = {
 }
 #: What is refused in place of each argument.
 REFUSED = {
-    ESMTracker: {"image": no_array, "box": no_array, "motion": NO_TEXT},
     ESMTracker.track: {"frame": lambda valid: [*no_array(valid), np.zeros((20, 30))]},
-    KalmanFilter: {
-        "position": no_array,
-        **dict.fromkeys(("interval", "acceleration", "noise"), NOT_POSITIVE),
-    },
-    KalmanFilter.update: {"position": no_array},
     track_all: FILM,
     track_each: FILM,
 }
