@@ -59,11 +59,14 @@ def likeness(part: ast.AST, name: str) -> int:
 def code_of(record: ledger.Record) -> str:
     """Return the statement that records a number, below those that assign what it uses."""
     every = statements(record.notebook)
-    last = max((likeness(s, record.id), k) for k, (n, s, _) in enumerate(every) if n == record.cell)
-    _, made, code = every[last[1]]
+    cell = [(likeness(s, record.id), k) for k, (n, s, _) in enumerate(every) if n == record.cell]
+    if not cell:  # the notebook has failed since
+        return ""
+    last = max(cell)[1]
+    _, made, code = every[last]
     used = names_in(made, ast.Load) - names_in(made, ast.Store)
     given: dict[str, str] = {}
-    for _, part, lines in every[: last[1]]:
+    for _, part, lines in every[:last]:
         if isinstance(part, ast.Assign):
             names = set().union(*(names_in(target, ast.Store) for target in part.targets))
             given |= dict.fromkeys(names & used, lines)
