@@ -148,11 +148,10 @@ def printed_labels(column: str, found: Detection, like: Microscope) -> NDArray:
 
 
 def dependent_entries(column: str) -> dict[str, tuple[float, float]]:
-    """Return what Table 5.1's lengths T_op, f and d say of its entries M, d and T_z, with rounding.
+    """Return what Table 5.1's lengths T_op, f and d say of its entries M and T_z, with rounding.
 
-    M = T_op/f (2.12), d = f²/T_op (2.20) and T_z = f + d (2.8); lengths in µm. The second number of
-    each is what the rounding of the lengths, of which five digits are known, changes in 95 % of
-    random draws.
+    M = T_op/f (2.12) and T_z = f + d (2.8); lengths in µm. The second number of each is what the
+    rounding of the lengths, of which five digits are known, changes in 95 % of random draws.
 
     Examples
     --------
@@ -166,7 +165,6 @@ def dependent_entries(column: str) -> dict[str, tuple[float, float]]:
     drawn = lengths + half_units * np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
     formulas = {
         "M": lambda t_op, f, d: t_op / f,
-        "d": lambda t_op, f, d: f**2 / t_op,
         "T_z": lambda t_op, f, d: f + d,
     }
     entries = {}
@@ -210,7 +208,7 @@ def table_5_1(taken: Mapping[str, Photograph]) -> pd.DataFrame:
     rows: list[tuple] = []
     for column, photo in taken.items():
         follows = dependent_entries(column)
-        for name in ("M", "d", *RECOVERED, "T_z"):
+        for name in ("M", *RECOVERED, "T_z"):
             if name in follows:
                 value, rounding = follows[name]
                 found = value, value - rounding, value + rounding
