@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -25,6 +25,7 @@ from microlib.focus._stack import (
     read_stack,
 )
 from microlib.focus._three_point import three_point_depth
+from microlib.focus.common import Frame
 from microlib.io import read_frames
 
 
@@ -171,19 +172,17 @@ def depth_from_focus(
     def finish(stage: int, share: float) -> None:
         report(round(count * (stage + share)), stages * count)
 
-    grey, kept, registration = _usable_frames(grey, margin, register, partial(finish, 1))
+    used, kept, registration = _usable_frames(grey, margin, register, partial(finish, 1))
     done = partial(finish, stages - 2)
     if single is None:
-        found = multiscale.multiscale_depth(grey, z[kept], workers=threads, done=done)
+        found = multiscale.multiscale_depth(used, z[kept], workers=threads, done=done)
     else:
-        found = three_point_depth(grey, z[kept], single, done)
+        found = three_point_depth(used, z[kept], single, done)
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
-    images: Iterable[Image] = grey
-    if colors is not None:
-        known = ((k, image) for k, image in enumerate(colors) if k in kept)
-        images = (registration.aligned(f, k) if registration else f for k, f in known)
-    del grey  # in color no longer needed
+    known = ((k, image) for k, image in enumerate(colors or grey) if k in kept)
+    images = (registration.aligned(f, k)[:] if registration else f for k, f in known)
+    del grey, used  # in color no longer needed
     return build_result(
         found,
         replace(source, frames=images, positions=z[kept]),
@@ -200,7 +199,7 @@ def _usable_frames(
     margin: NDArray[np.bool_],
     register: bool | Literal["auto"],
     done: Callable[[float], object],
-) -> tuple[list[Image], NDArray[np.intp], Registration | None]:
+) -> tuple[Sequence[Frame], NDArray[np.intp], Registration | None]:
     """Return the frames that are used, aligned if they are registered; their numbers; and how.
 
     Warns
@@ -219,11 +218,8 @@ def _usable_frames(
             remedy = "brightness corrected" if change == "light" else "registered"
         warnings.warn(f"frames change in {change} from one to the next: {remedy}", stacklevel=3)
     if register is True or (register and change):
-        registration = find_registration(
-            grey, at_rest=change == "light", done=lambda share: done(share / 2)
-        )
-        aligned = registration.align(grey, done=lambda share: done((1 + share) / 2))
-        return aligned, registration.kept, registration
+        found = find_registration(grey, at_rest=change == "light", done=done)
+        return [found.aligned(grey[k], k) for k in found.kept], found.kept, found
     if len(kept) < count:
         names = ", ".join(map(str, np.setdiff1d(np.arange(count), kept)))
         reasons = "are uniform, repeated or of another brightness: left out"

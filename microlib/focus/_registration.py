@@ -47,28 +47,9 @@ class Registration:
     gain: Array
     offset: Array
 
-    def aligned(self, image: Image, number: int | np.integer) -> NDArray[np.float32]:
+    def aligned(self, frame: Image, number: int | np.integer) -> AlignedFrame:
         """Return a frame, grey or in color, as the middle frame has it in position and light."""
-        result, warp = image.astype(np.float32), self.warps[number]
-        if not np.array_equal(warp, np.eye(2, 3)):
-            flags, border = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
-            size = image.shape[1::-1]
-            result[:] = cv2.warpAffine(result, warp, size, flags=flags, borderMode=border)
-        result -= np.float32(self.offset[number])
-        result /= np.float32(self.gain[number])
-        return result
-
-    def align(self, frames: list[Image], done: Callable[[float], object]) -> list[NDArray]:
-        """Return the kept frames aligned; each replaces its frame in the list, to save memory.
-
-        Frames of 8 bits are returned in half precision, which resolves an eighth of a grey level,
-        all others in single precision. `done` is called with the share that is finished.
-        """
-        kind = np.float16 if frames[0].dtype == np.uint8 else np.float32
-        for finished, k in enumerate(self.kept, 1):
-            frames[k] = self.aligned(frames[k], k).astype(kind, copy=False)
-            done(finished / len(self.kept))
-        return [frames[k] for k in self.kept]
+        return AlignedFrame(frame, self.warps[number], self.gain[number], self.offset[number])
 
     def outside(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Return the pixels that some frame near to theirs, `index`, does not contain."""
@@ -78,6 +59,50 @@ class Registration:
         for k, warp in enumerate(self.warps[self.kept]):
             outside = cv2.warpAffine(full, warp, index.shape[::-1], flags=how) == 0
             result |= outside & (np.abs(index - k) <= reach)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedFrame:
+    """A frame, of which rows are aligned when they are indexed, so that it takes no memory.
+
+    Attributes
+    ----------
+    frame : ndarray
+        The frame as it was taken.
+    warp, gain, offset
+        Its own ones of those of `Registration`.
+    """
+
+    frame: Image
+    warp: Array
+    gain: float
+    offset: float
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the frame."""
+        return self.frame.shape
+
+    def __getitem__(self, rows: slice) -> NDArray[np.float32]:
+        top, bottom, _ = rows.indices(len(self.frame))
+        low, high = top, bottom
+        moved = not np.array_equal(self.warp, np.eye(2, 3))
+        if moved:  # the rows that are needed, with the reach of the interpolation
+            ends = self.warp[1] @ [[0, self.shape[1]] * 2, [top, top, bottom, bottom], [1] * 4]
+            low = int(np.clip(ends.min() - 5, 0, len(self.frame) - 1))
+            high = int(np.clip(ends.max() + 5, low + 1, len(self.frame)))
+        result = self.frame[low:high].astype(np.float32)
+        if moved:
+            warp = self.warp.copy()
+            warp[:, 2] += top * warp[:, 1] - [0, low]
+            size, flags = (self.shape[1], bottom - top), cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
+            border = cv2.BORDER_REPLICATE
+            result = np.asarray(
+                cv2.warpAffine(result, warp, size, flags=flags, borderMode=border), np.float32
+            )
+        result -= np.float32(self.offset)
+        result /= np.float32(self.gain)
         return result
 
 
@@ -267,9 +292,12 @@ def _brightness(
     """Return gain and offset of every frame relative to the reference, NaN for those left out."""
     smooth = [_smooth(small[k], warps[int(k)][:2]) for k in kept]
     links = [_illumination_change(a, b, m & n) for (a, m), (b, n) in pairwise(smooth)]
-    # An offset of less than 1 % of the grey level is none.
+    # An offset of less than 1 % of the grey level is none, and one that a gain compensates is blur.
     level = abs(float(np.mean([image.mean() for image, _ in smooth])))
-    if np.median([abs(plus) for _, plus, _ in links]) < 0.01 * level:
+    if (
+        np.median([min(abs(plus), level * abs(ratio - 1)) for _, plus, ratio in links])
+        < 0.01 * level
+    ):
         links = [(ratio, 0.0, ratio) for _, _, ratio in links]
     gain, offset = np.full((2, len(small)), np.nan)
     gain[kept[0]], offset[kept[0]] = 1, 0

@@ -168,7 +168,8 @@ def build_result(
     unit : str
         Unit of the positions.
     """
-    known, index = np.isfinite(found.depth), found.frame.astype(np.int32)
+    image = composite(stack, len(numbers), found.frame, done)  # first, as it takes memory
+    known, index = np.isfinite(found.depth), found.frame.astype(np.int32, copy=False)
     warps = gain = offset = None
     if registration is not None:
         known &= ~registration.outside(np.where(known, index, -1))
@@ -182,13 +183,14 @@ def build_result(
     beyond = np.minimum(depth - low, high - depth) < found.spacing / 2
     random = np.where(beyond, (high - low) / np.float32(np.sqrt(12)), 0)
     uncertainty[found.at_end] = np.hypot(uncertainty[found.at_end], random)
-    relative = uncertainty / np.float32(found.spacing)
     return FocusResult(
         depth=np.where(known, found.depth, np.float32(np.nan)),
         uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
-        confidence=np.where(known, 1 / (1 + relative * relative), np.float32(0)),
+        confidence=np.where(
+            known, 1 / (1 + np.square(uncertainty / np.float32(found.spacing))), np.float32(0)
+        ),
         index=np.where(known, numbers.astype(np.int32)[index], np.int32(-1)),
-        all_in_focus=composite(stack, len(numbers), found.frame, done),
+        all_in_focus=image,
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
         corner=stack.corner,

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image, as_array
+from microlib._common import Array, as_array
 from microlib.focus._measures import FocusMeasure
 from microlib.focus._stack import check_positions
 from microlib.focus.common import (
     TINY,
     DepthMap,
-    at_least_single,
+    Frame,
     blur,
     halved,
     peak_centers,
@@ -110,7 +110,7 @@ class TrackedPeaks(NamedTuple):
 
 
 def track_peaks(
-    frames: Sequence[Image], measure: FocusMeasure, done: Callable[[float], object]
+    frames: Sequence[Frame], measure: FocusMeasure, done: Callable[[float], object]
 ) -> TrackedPeaks:
     """Find the frame with each pixel's highest measure, keeping three frames at a time."""
     shape = frames[0].shape
@@ -118,7 +118,7 @@ def track_peaks(
     zero, last, profiles = np.zeros(shape, np.float32), np.zeros(shape, np.float32), []
     best = np.zeros(shape, np.uint16)
     for k, frame in enumerate(frames):
-        value = np.asarray(measure(at_least_single(frame)), np.float32)
+        value = np.asarray(measure(frame[:]), np.float32)
         profiles.append(halved(value, 3))
         cv2.copyTo(value, cv2.inRange(best, k - 1, k - 1), after)
         better = cv2.compare(value, top, cv2.CMP_GT)
@@ -131,7 +131,7 @@ def track_peaks(
 
 
 def three_point_depth(
-    frames: Sequence[Image],
+    frames: Sequence[Frame],
     positions: Array,
     measure: FocusMeasure,
     done: Callable[[float], object],

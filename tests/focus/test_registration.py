@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
+from microlib.focus._registration import AlignedFrame
 from microlib.io import read_frames
 from tests.scenes import camera_frame
 from tests.scenes.focus import defocused, disc_blur, inner, rms
@@ -204,19 +205,34 @@ def assert_same(result: FocusResult, other: FocusResult) -> None:
     np.testing.assert_allclose(result.depth, other.depth, atol=1e-5)
 
 
-def test_registration_adds_less_memory_than_the_color_stack_takes() -> None:
-    """Copies of all frames in single precision were five times the stack."""
-    grey = np.tile(disturbed(scene("dome", 1)[0], 1, shift=1.0), (1, 5, 5))
-    color = np.repeat(grey[..., None], 3, axis=3)
+@pytest.mark.parametrize("color", [False, True])
+def test_registration_adds_no_copy_of_the_stack(color: bool) -> None:
+    """Aligned copies of all frames were twice the grey stack, and five times before that."""
+    stack = np.tile(disturbed(scene("dome", 1)[0], 1, shift=1.0)[3:12], (1, 5, 5))
+    stack = np.repeat(stack[..., None], 3, axis=3) if color else stack
     peaks = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for register in (False, True):
             tracemalloc.start()
-            depth_from_focus(color[3:12], POSITIONS[3:12], register=register)
+            depth_from_focus(stack, POSITIONS[3:12], register=register)
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
-    assert peaks[1] - peaks[0] < color[3:12].nbytes
+    assert peaks[1] - peaks[0] < 0.5 * stack.nbytes
+
+
+@pytest.mark.parametrize("shape", [(90, 70), (90, 70, 3)])
+def test_rows_of_an_aligned_frame_are_those_of_the_whole(shape: tuple[int, ...]) -> None:
+    frame = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
+    for turn, shift in ((0.1, -30.3), (1.5, 60.5), (0.0, 200.0)):
+        warp = np.array([[np.cos(turn), -np.sin(turn), 5.5], [np.sin(turn), np.cos(turn), shift]])
+        aligned = AlignedFrame(frame, warp, gain=1.5, offset=20.0)
+        how = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
+        moved = cv2.warpAffine(
+            np.float32(frame), warp, shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
+        )
+        for rows in (slice(None), slice(0, 7), slice(40, 41), slice(80, 90)):
+            np.testing.assert_allclose(aligned[rows], (moved[rows] - 20) / 1.5, atol=1e-3)
 
 
 @pytest.mark.parametrize("register", [False, True])

@@ -3,8 +3,8 @@
 Nothing in this folder refers to either of them.
 """
 
-from microlib.focus.common._depth_map import DepthMap
-from microlib.focus.common._filters import TINY, at_least_single, blur, doubled, halved, ratio
+from microlib.focus.common._depth_map import DepthMap, Frame
+from microlib.focus.common._filters import TINY, blur, doubled, halved, ratio
 from microlib.focus.common._planes import smooth_planes
 from microlib.focus.common._shape import peak_centers, shape_error
 from microlib.focus.common._significance import peak_significance
@@ -13,8 +13,8 @@ from microlib.focus.common._threads import Spread, run_jobs
 __all__ = [
     "TINY",
     "DepthMap",
+    "Frame",
     "Spread",
-    "at_least_single",
     "blur",
     "doubled",
     "halved",

@@ -1,11 +1,21 @@
-"""The depth of every pixel, as both methods return it."""
+"""The frames from which both methods compute the depth of every pixel, and that depth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class Frame(Protocol):
+    """A frame in memory, or one of which rows are computed when they are indexed."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, rows: slice, /) -> NDArray: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,6 @@ from numpy.typing import NDArray
 TINY = np.float32(1e-30)
 
 
-def at_least_single(image: NDArray) -> NDArray:
-    """Return an image of half precision, which OpenCV cannot filter, in single precision."""
-    return image.astype(np.float32) if image.dtype == np.float16 else image
-
-
 def blur(image: NDArray, sigma: float) -> NDArray:
     """Smooth by a Gaussian; beyond 1 px by two boxes of nearly its variance, which is faster."""
     if sigma <= 1:

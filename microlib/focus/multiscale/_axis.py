@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array, Image
-from microlib.focus.common import Spread, at_least_single, halved, peak_centers, shape_error
+from microlib.focus.common import Frame, Spread, halved, peak_centers, shape_error
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import find_profiles
 from microlib.focus.multiscale._settings import FocusSettings
@@ -63,7 +63,7 @@ class Axis:
         return np.clip(found, np.float32(z.min()), np.float32(z.max()))
 
     def averaged_frames(
-        self, frames: Sequence[Image], rows: slice = slice(None)
+        self, frames: Sequence[Frame], rows: slice = slice(None)
     ) -> Iterator[Image]:
         """Yield some rows of the averaged frames."""
         for start, end in pairwise(self.ends):
@@ -71,9 +71,9 @@ class Axis:
 
 
 def averaged(frames: Sequence[Image]) -> Image:
-    """Return the mean of some frames; a single one keeps its type if OpenCV can filter it."""
+    """Return the mean of some frames; a single one keeps its type."""
     if len(frames) == 1:
-        return at_least_single(frames[0])
+        return frames[0]
     return np.asarray(np.mean(frames, axis=0, dtype=np.float32))
 
 
@@ -83,7 +83,7 @@ def group_means(values: Array, ends: NDArray[np.intp]) -> Array:
 
 
 def describe_axis(
-    frames: Sequence[Image], positions: Array, settings: FocusSettings, spread: Spread = map
+    frames: Sequence[Frame], positions: Array, settings: FocusSettings, spread: Spread = map
 ) -> Axis:
     """Return the groups in which the frames of a stack are averaged, their noise and their biases.
 

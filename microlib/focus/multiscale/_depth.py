@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Array, Image
-from microlib.focus.common import DepthMap, Spread, doubled
+from microlib._common import Array
+from microlib.focus.common import DepthMap, Frame, Spread, doubled
 from microlib.focus.multiscale._axis import Axis, describe_axis
 from microlib.focus.multiscale._fits import fit_stack
 from microlib.focus.multiscale._maps import fill_nearest, typical
@@ -25,7 +25,7 @@ _BAND = 64
 
 
 def multiscale_depth(
-    frames: Sequence[Image],
+    frames: Sequence[Frame],
     positions: Array,
     *,
     workers: int = 1,
@@ -54,7 +54,7 @@ def multiscale_depth(
     more = [max(8 - n, 0) for n in shape]
     if any(more):  # smaller ones are mirrored at their border
         mirrored = cv2.BORDER_REFLECT
-        frames = [cv2.copyMakeBorder(f, 0, more[0], 0, more[1], mirrored) for f in frames]
+        frames = [cv2.copyMakeBorder(f[:], 0, more[0], 0, more[1], mirrored) for f in frames]
     with ThreadPoolExecutor(workers) as pool:
         spread = pool.map if workers > 1 else map
         axis = describe_axis(frames, positions, settings, spread)
@@ -64,7 +64,9 @@ def multiscale_depth(
         for rule in rules:
             peaks = peaks.without(rule(peaks, settings))
         refined = refine(peaks, fits, axis, settings, strength, spread=spread)
-        return _enlarged(refined, fits.best, axis, shape, spread)
+        best = fits.best
+        del fits, peaks  # to save memory
+        return _enlarged(refined, best, axis, shape, spread)
 
 
 def _enlarged(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import Image
-from microlib.focus.common import Spread, halved
+from microlib.focus.common import Frame, Spread, halved
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import find_profiles
@@ -53,7 +52,7 @@ class Fits:
 
 
 def fit_stack(
-    frames: Sequence[Image],
+    frames: Sequence[Frame],
     axis: Axis,
     settings: FocusSettings,
     *,
@@ -87,24 +86,24 @@ def fit_stack(
         keep = slice(top - start, bottom - start)
         return _fit_strip(frames, axis, settings, view, keep)
 
-    parts = []
-    for part in spread(strip, tops):  # in their order, from this thread
-        parts.append(part)
-        done(len(parts) / len(tops))
-    whole = {}
-    for field in fields(Fits):
-        block = {"profiles": 8, "wide": 4}.get(field.name, 2)
-        rows, cols = (-(-n // block) for n in shape)
-        joined = np.concatenate([getattr(part, field.name) for part in parts], axis=-2)
-        whole[field.name] = np.ascontiguousarray(joined[..., :rows, :cols])
+    whole: dict[str, NDArray] = {}
+    for top, part in zip(tops, spread(strip, tops), strict=True):  # in their order
+        for name, values in vars(part).items():
+            block = {"profiles": 8, "wide": 4}.get(name, 2)
+            rows, cols = (-(-n // block) for n in shape)
+            if top == 0:
+                whole[name] = np.empty((*values.shape[:-2], rows, cols), values.dtype)
+            room = whole[name][..., top // block :, :]
+            room[..., : values.shape[-2], :] = values[..., : room.shape[-2], :cols]
+        done(min(top + tops.step, shape[0]) / shape[0])
     return Fits(**whole)
 
 
 def _fit_strip(
-    frames: Sequence[Image], axis: Axis, settings: FocusSettings, rows: slice, keep: slice
+    frames: Sequence[Frame], axis: Axis, settings: FocusSettings, rows: slice, keep: slice
 ) -> Fits:
     """Measure some rows of the frames, and fit those to keep."""
-    coordinates, shape = axis.coordinates, frames[0][rows].shape
+    coordinates, shape = axis.coordinates, (rows.stop - rows.start, frames[0].shape[1])
     averaged = axis.averaged_frames(frames, rows)
     product, edge, wide = find_profiles(averaged, len(coordinates), shape, axis.noise, settings)
     half = slice(keep.start // 2, -(-keep.stop // 2))

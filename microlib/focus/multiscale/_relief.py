@@ -7,6 +7,7 @@ second pixel, depths in averaged frames.
 
 from __future__ import annotations
 
+from functools import reduce
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -109,7 +110,7 @@ def find_relief(
         return np.asarray(gain * np.stack([a, b]))
 
     scales = [np.stack([along, down]), *spread(means, _OCTAVES)]
-    relief = np.sum(list(spread(restored, pairwise(scales), _OCTAVES)), axis=0)
+    relief = reduce(np.add, spread(restored, pairwise(scales), _OCTAVES))
     half_difference = np.subtract(*scales[-1]) / 2
     return relief.mean(axis=0) * _mtf_gain(relief, settings), half_difference
 

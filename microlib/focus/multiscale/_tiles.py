@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Image
-from microlib.focus.common import TINY, Spread, at_least_single, blur
+from microlib.focus.common import TINY, Frame, Spread, blur
 from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gain
 
 #: Tiles along each side of the image, their side, and the border of each that its neighbor
@@ -16,16 +16,11 @@ from microlib.focus.multiscale._measure import abs_second_derivatives, noise_gai
 _TILES, _TILE, _SEAM = 6, 48, 12
 
 
-def sample_tiles(frame: Image) -> Image:
+def sample_tiles(frame: Frame) -> Image:
     """Return the tiles of a frame side by side."""
-    rows, cols = (_tile_pixels(n) for n in frame.shape)
-    return at_least_single(frame[rows][:, cols])
-
-
-def _tile_pixels(length: int) -> NDArray[np.intp]:
-    """Return the rows, or the columns, of the tiles of an image."""
-    starts = np.linspace(0, max(length - _TILE, 0), _TILES).astype(np.intp)
-    return (starts[:, None] + np.arange(min(_TILE, length))).ravel()
+    starts = [np.linspace(0, max(n - _TILE, 0), _TILES).astype(np.intp) for n in frame.shape]
+    columns = (starts[1][:, None] + np.arange(min(_TILE, frame.shape[1]))).ravel()
+    return np.concatenate([frame[top : top + _TILE][:, columns] for top in starts[0]])
 
 
 def every_other_tile(tiles: Image) -> Image:
