@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
-from microlib.focus._registration import AlignedFrame
+from microlib.focus._registration import AlignedFrame, motion_between
 from microlib.io import read_frames
 from tests.scenes import camera_frame
 from tests.scenes.focus import defocused, disc_blur, inner, rms
@@ -168,6 +168,34 @@ def test_registration_recovers_offsets() -> None:
     change = result.all_in_focus - same_light
     light = [np.median(change[result.index == k]) for k in range(MIDDLE, MIDDLE + 5)]
     np.testing.assert_allclose(light, 0, atol=0.7)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_blur_that_grows_across_the_image_is_no_motion(shift: float) -> None:
+    rows, cols = 240, 300
+    texture = np.float32(synthetic.mixed_texture((rows, cols), 3))
+    sigma = np.linspace(1.0, 2.5, 16)
+    ladder = np.stack([cv2.GaussianBlur(texture, (0, 0), s) for s in sigma])
+    place = np.interp(np.linspace(1.0, 2.2, cols), sigma, np.arange(16))
+    near = place.astype(int)
+    columns, part = np.arange(cols), place - near
+    second = (1 - part) * ladder[near, :, columns].T + part * ladder[near + 1, :, columns].T
+    warp = np.array([[1, 0, shift], [0, 1, 0]])
+    second = cv2.warpAffine(second, warp, (cols, rows), flags=cv2.INTER_LANCZOS4)
+    assert abs(motion_between(ladder[0], second).shift - shift) < 0.003
+
+
+def test_bright_spots_that_blur_are_no_offset_of_the_light() -> None:
+    rng = np.random.default_rng(1)
+    spots = np.zeros((160, 160), np.float32)
+    spots[rng.integers(0, 160, 400), rng.integers(0, 160, 400)] = rng.exponential(4000, 400)
+    frames = [
+        100 + cv2.GaussianBlur(spots, (0, 0), 1 + 4 * abs(k - 3)) + rng.normal(0, 2, spots.shape)
+        for k in range(12)
+    ]
+    result = depth_from_focus(frames, spacing=1.0, register=True)
+    np.testing.assert_array_equal(result.offset, 0)  # there are none
+    np.testing.assert_allclose(result.gain, 1, atol=0.1)
 
 
 @pytest.mark.parametrize("how", [{"shift": 1.0}, {"scale": 0.15}, {"turn": 8.0}])
