@@ -86,24 +86,12 @@ class AlignedFrame:
 
     def __getitem__(self, rows: slice) -> NDArray[np.float32]:
         top, bottom, _ = rows.indices(len(self.frame))
-        low, high = top, bottom
-        moved = not np.array_equal(self.warp, np.eye(2, 3))
-        if moved:  # the rows that are needed, with the reach of the interpolation
-            ends = self.warp[1] @ [[0, self.shape[1]] * 2, [top, top, bottom, bottom], [1] * 4]
-            low = int(np.clip(ends.min() - 5, 0, len(self.frame) - 1))
-            high = int(np.clip(ends.max() + 5, low + 1, len(self.frame)))
-        result = self.frame[low:high].astype(np.float32)
-        if moved:
-            warp = self.warp.copy()
-            warp[:, 2] += top * warp[:, 1] - [0, low]
-            size, flags = (self.shape[1], bottom - top), cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
-            border = cv2.BORDER_REPLICATE
-            result = np.asarray(
-                cv2.warpAffine(result, warp, size, flags=flags, borderMode=border), np.float32
-            )
-        result -= np.float32(self.offset)
-        result /= np.float32(self.gain)
-        return result
+        warp = self.warp.copy()
+        warp[:, 2] += top * warp[:, 1]
+        image, size = self.frame.astype(np.float32), (self.shape[1], bottom - top)
+        flags, border = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
+        result = cv2.warpAffine(image, warp, size, flags=flags, borderMode=border)
+        return np.asarray((result - np.float32(self.offset)) / np.float32(self.gain))
 
 
 def _ignore(share: float) -> None:
@@ -203,7 +191,9 @@ def motion_between(first: Image, second: Image) -> Motion:
     bands = [_band_pass(_block_means(f.astype(np.float32), factor)) for f in (first, second)]
     if (warp := _link(*bands)) is None:
         return Motion(0.0, 0.0, 0.0, 0.0)
-    moved = _motion_of_quarters(warp, bands[0].shape)
+    rows, cols = bands[0].shape
+    centers = np.array([(x * cols, y * rows, 1) for x in (0.25, 0.75) for y in (0.25, 0.75)])
+    moved = (centers @ warp.T - centers)[:, :2]
     change = complex(*warp[:2, 0])  # of the scale and the direction
     return Motion(
         size=float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
@@ -211,13 +201,6 @@ def motion_between(first: Image, second: Image) -> Motion:
         growth=abs(change) - 1,
         turn=float(np.degrees(np.angle(change))),
     )
-
-
-def _motion_of_quarters(warp: Array, shape: tuple[int, ...]) -> Array:
-    """Return the motion of the centers of the four quarters of a frame, px, (4, 2)."""
-    rows, cols = shape
-    centers = np.array([(x * cols, y * rows, 1) for x in (0.25, 0.75) for y in (0.25, 0.75)])
-    return np.asarray((centers @ warp.T - centers)[:, :2])
 
 
 def _block_means(image: NDArray, side: int) -> NDArray:
@@ -264,8 +247,7 @@ def _link(first: NDArray, second: NDArray) -> Array | None:
     a, b = (matrix[0, 0] + matrix[1, 1]) / 2, (matrix[1, 0] - matrix[0, 1]) / 2
     center = (np.array(first.shape[::-1]) - 1) / 2
     warp = _similarity(a, b, matrix[:, :2] @ center + matrix[:, 2] - center, first.shape)
-    small = np.mean(np.sum(_motion_of_quarters(warp, first.shape) ** 2, axis=1)) < 0.25**2
-    return _small_motion(first, second) if small else warp
+    return _small_motion(first, second) if np.hypot(*warp[:2, 2]) < 0.35 else warp  # of the corner
 
 
 def _similarity(a: float, b: float, move: Array, shape: tuple[int, ...]) -> Array:

@@ -9,7 +9,7 @@ small compared with the pitch, the marks do not form a lattice.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -76,6 +76,16 @@ class GridMap:
         return np.asarray(np.abs(xi * yj - xj * yi))
 
 
+def plane_map(points: Array, grid: GridIndex, image_shape: tuple[int, ...]) -> GridMap:
+    """Least-squares homography from the grid to points (n, 2), as a map without distortion."""
+    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
+    unit = float(middle.max())
+    homography = cv2.findHomography(grid.astype(np.float64), (points - middle) / unit)[0]
+    if homography is None or not np.isfinite(homography).all():
+        raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
+    return GridMap(homography, distortion=0.0, middle=middle, unit=unit, parameters=8)
+
+
 def map_centers(centers: Array, grid: GridIndex, image_shape: tuple[int, ...]) -> GridMap:
     """Least-squares map from the grid to the centers of marks (n, 2), px."""
     return fit_grid_map(centers[:, None], grid, MIDDLE, image_shape)[0]
@@ -109,15 +119,10 @@ def fit_grid_map(
     ValueError
         If the fit is not finite.
     """
-    middle = (np.array(image_shape[1::-1], dtype=np.float64) - 1) / 2
-    unit = float(middle.max())
-    flat = (points.mean(axis=1) - middle) / unit
-    best = cv2.findHomography(grid.astype(np.float64), flat)[0]
+    plane = plane_map(points.mean(axis=1), grid, image_shape)
     refusal = ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    if best is None or not np.isfinite(best).all():
-        raise refusal
     # Homography without its last element, which is one, distortion, and the sides of a square.
-    start = np.concatenate([best.ravel()[:-1], np.zeros(3)])
+    start = np.concatenate([plane.homography.ravel()[:-1], np.zeros(3)])
     squares = points.shape[1] == 4
     # The distortion is determined by six points or more.
     free = np.repeat([True, points.size > len(start), squares], [len(start) - 3, 1, 2])
@@ -127,9 +132,7 @@ def fit_grid_map(
         every[free] = p
         *homography, distortion, width, height = every
         matrix = np.append(homography, 1.0).reshape(3, 3)
-        to_image = GridMap(
-            homography=matrix, distortion=distortion, middle=middle, unit=unit, parameters=len(p)
-        )
+        to_image = replace(plane, homography=matrix, distortion=distortion, parameters=len(p))
         return to_image, grid[:, None] + offsets * [width, height]
 
     def residuals(p: Array) -> Array:
