@@ -269,7 +269,7 @@ def _small_motion(first: NDArray, second: NDArray) -> Array:
     y, x = ((np.arange(n, dtype=np.float32) - (n - 1) / 2) / half for n in mean.shape)
     y = y[:, None]
     columns = [dx, dy, x * dx + y * dy, x * dy - y * dx, mean, *_blur_columns(mean)]
-    inner = slice(4, -4)  # of the border a part may come from outside
+    inner = slice(4, -4, 2)  # neighbors are smoothed, and the border may come from outside
     design, change = np.stack(columns)[:, inner, inner], (first - second)[inner, inner]
     right, down, growth, turn = _robust(design.reshape(len(columns), -1), change.ravel())[:4]
     return _similarity(1 + growth / half, turn / half, np.array([right, down]), mean.shape)
