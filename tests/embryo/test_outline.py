@@ -2,6 +2,7 @@
 
 import csv
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from skimage.measure import find_contours
 
-from microlib.embryo import dimple_from_outline, read_outline
+from microlib.embryo import OutlineDimple, dimple_from_outline, read_outline
 from tests.checks import hold_sigma
 
 DATA = Path(__file__).parents[2] / "data" / "synthetic"
@@ -66,11 +67,16 @@ def test_dimple_does_not_depend_on_order_origin_and_unit() -> None:
     np.testing.assert_allclose(np.divide(*stds), 1.7, rtol=0.3)
 
 
+@cache
+def measured(seed: int, noise: float) -> OutlineDimple:
+    return dimple_from_outline(ACROSS, traced(seed, noise), pixel_size=1.0)
+
+
 @pytest.mark.parametrize("noise", [0.15, 0.6])
 def test_covariance_matches_errors(noise: float) -> None:
     errors, covariances = [], []
     for seed in range(8):
-        found = dimple_from_outline(ACROSS, traced(seed, noise), pixel_size=1.0)
+        found = measured(seed, noise)
         for dimple in (found.left, found.right):
             errors.append([dimple.rim_radius - RADIUS, dimple.dimple_depth - DEPTH])
             covariances.append(dimple.covariance)
@@ -124,7 +130,7 @@ def test_ends_that_turn_back_are_left_out(turned: int, down: bool) -> None:
     x = np.r_[inwards[::-1], ACROSS, ACROSS[-1] - 0.4 * below]
     y = np.r_[side[::-1], traced(), side]
     found = dimple_from_outline(x, -y if down else y, pixel_size=1.0)
-    wanted = dimple_from_outline(ACROSS, traced(), pixel_size=1.0)
+    wanted = measured(2, 0.15)
     assert found.y_down == down
     # The point at each end is left out, which shifts the smoothing a little.
     assert found.left.dimple_depth == pytest.approx(wanted.left.dimple_depth, rel=0.02)

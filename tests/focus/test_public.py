@@ -7,7 +7,6 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-import tifffile
 
 from microlib import synthetic
 from microlib.focus import (
@@ -151,20 +150,6 @@ def test_depth_follows_flips_and_rotations(view):
         assert np.mean(off < 0.01) > 0.98
     follows_view(view, correct_spikes, HOLED, atol=1e-3)
     follows_view(view, lambda depth: smooth_depth(depth, jump=12.0), HOLED, atol=1e-3)
-
-
-def test_place_of_a_pixel_equals_its_place_in_the_file(tmp_path):
-    tifffile.imwrite(
-        tmp_path / "stack.ome.tif",
-        STACK.astype(np.float32),
-        metadata={"axes": "ZYX", "PhysicalSizeX": 2.3, "PhysicalSizeY": 2.3},
-    )
-    found = depth_from_focus(tmp_path / "stack.ome.tif", Z, region=(8, 4, 40, 32))
-    x, y = np.array([[0, 0], [39, 0], [7, 31]]).T
-    wanted = 2.3 * np.column_stack([8 + x, 4 + y])
-    size = np.array([found.pixel_size, found.pixel_size])
-    np.testing.assert_allclose(found.origin + np.column_stack([x, y]) * size, wanted)
-    assert found.all_in_focus[31, 7] in STACK[:, 35, 15]
 
 
 @pytest.mark.parametrize(("count", "least"), [(8, 0.4), (11, 0.7), (41, 0.7)])

@@ -40,14 +40,6 @@ def test_kalman_filter_agrees_with_opencv():
     np.testing.assert_allclose(predicted, wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_velocity_is_known_after_two_frames():
-    kalman = KalmanFilter((1, -2), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
-    kalman.predict()
-    kalman.update((1 + 240 * INTERVAL, -2 - 90 * INTERVAL))
-    # What is held of it before counts for some millionths.
-    np.testing.assert_allclose(kalman.velocity, (240, -90), rtol=1e-5)
-
-
 def test_lost_template_is_searched_where_the_filter_predicts_it():
     way = np.array([20.3, 30.6]) + np.outer(np.arange(12), [7.0, 4.0])
     frames = moving_square(way, np.random.default_rng(0), size=40)

@@ -175,21 +175,6 @@ def test_track_follows_cropped_frames():
     np.testing.assert_allclose(part.corners, whole.corners - [12, 5], atol=5e-3)
 
 
-def test_tracker_recovers_after_lost_frame_like_a_new_one():
-    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
-    tracker = ESMTracker(one, BOX, "affine")
-    lost = tracker.track(np.random.default_rng(0).normal(0, 28, one.shape))
-    assert lost.lost
-    new = ESMTracker(one, BOX, "affine").track(other)
-    assert lost.hidden.shape == new.hidden.shape == BOX[:1:-1]
-    for _ in range(2):  # by a search of the whole frame, then from the last pose
-        again = tracker.track(other)
-        np.testing.assert_allclose(again.corners, new.corners, atol=0.05)
-    # OpenCV 4 rounds positions to 1/32 px, which here changes the residuals by a third.
-    within = 0.4 if cv2.__version__ < "5" else 0.2
-    np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
-
-
 def test_arrays_of_the_kalman_filter_are_copies():
     kalman = used()
     for copy in (kalman.predict(), kalman.position, kalman.velocity, kalman.covariance):
@@ -222,6 +207,9 @@ def test_track_does_not_depend_on_the_earlier():
         np.testing.assert_allclose(again.corners, new.corners, atol=0.01)
         assert again.gain == pytest.approx(new.gain, rel=0.01)
         np.testing.assert_array_equal(again.hidden, new.hidden)
+        # OpenCV 4 rounds positions to 1/32 px, which here changes the residuals by a third.
+        within = 0.4 if cv2.__version__ < "5" else 0.2
+        np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
 def test_exchanged_filter_predicts_the_next_frame():
