@@ -83,7 +83,7 @@ def plane_map(points: Array, grid: GridIndex, image_shape: tuple[int, ...]) -> G
     homography = cv2.findHomography(grid.astype(np.float64), (points - middle) / unit)[0]
     if homography is None or not np.isfinite(homography).all():
         raise ValueError(f"image must show a plane grid, got {len(points)} points that fit none")
-    return GridMap(homography, distortion=0.0, middle=middle, unit=unit, parameters=8)
+    return GridMap(np.asarray(homography, float), 0.0, middle, unit, parameters=8)
 
 
 def map_centers(centers: Array, grid: GridIndex, image_shape: tuple[int, ...]) -> GridMap:
