@@ -197,7 +197,7 @@ def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
     >>> film = [scene.frame((2.5 * k, 0.5 * k), k) for k in range(3)]
     >>> figure = plot_track(track_all(film, scene.box(50)), film[0])
     >>> [ax.get_title() for ax in figure.axes][0]
-    'path'
+    'path on the first frame'
     """
     if not {"center_x", "center_y", "lost"} <= set(getattr(table, "columns", ())):
         raise ValueError(f"table must be that of a track, got {type(table).__name__}")
