@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from compendium import thesis
 from compendium.ledger import claim
 from microlib.calibration import Calibration, Detection, calibrate, detect_circles, detect_squares
-from microlib.microscope import Microscope, undistort
+from microlib.microscope import Microscope
 from microlib.synthetic import ImagingConditions, render_circles, render_squares
 
 #: Assumed: standard deviations of the point-spread function (px) and of the noise (grey levels).
@@ -311,10 +311,3 @@ def blur_study(seed: int, blurs: ArrayLike) -> pd.DataFrame:
             off = points - scope.project(grid * pitch)
             table.loc[blur, name] = np.sqrt(np.mean(off**2))
     return table.astype(float)
-
-
-def corner_shift(column: str) -> float:
-    """Return by how much the distortion of Table 5.1 moves a corner of the image, px."""
-    corner = np.array(thesis.BASLER_IMAGE_SIZE) * thesis.BASLER_PIXEL_PITCH / 2
-    moved = undistort(corner, thesis.table_5_1(column, "kappa")) - corner
-    return float(np.hypot(*moved)) / thesis.BASLER_PIXEL_PITCH
