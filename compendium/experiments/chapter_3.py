@@ -1,4 +1,4 @@
-"""Chapter 3: depth of a rendered dome, and surfaces whose type and curvature are known."""
+"""Chapter 3: what the thesis prints, errors of depths, and the stages of the default depth."""
 
 from __future__ import annotations
 
@@ -11,23 +11,10 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from microlib.curvature import curvature_windows, hk_labels, surface_curvature
 from microlib.focus import FocusResult, depth_from_focus, sum_modified_laplacian, three_point_peak
 from microlib.focus.multiscale import RULES, FocusSettings, multiscale_depth
 from microlib.synthetic import focal_stack, mixed_texture
 
-#: Table 3.1's types as surfaces z = (a x² + b y²)/100, as the names say: a dome is convex
-#: and has its top towards the viewer, so a < 0.
-BENT = {
-    "convex elliptic": (-1, -1),
-    "convex cylindric": (-1, 0),
-    "saddle ridge": (-2, 1),
-    "planar": (0, 0),
-    "minimal surface": (1, -1),
-    "concave elliptic": (1, 1),
-    "concave cylindric": (1, 0),
-    "saddle valley": (2, -1),
-}
 #: The whole numbers that (3.15), (3.17), (3.18) and (3.19) print, each divided by one number.
 PRINTED_WINDOWS = {
     "s": ("smooth", (1, 6, 15, 20, 15, 6, 1)),
@@ -146,74 +133,3 @@ def focus_stages() -> FocusStages:
         final=final.depth,
         uncertainty=final.uncertainty,
     )
-
-
-def labelled_patches() -> dict[str, tuple[NDArray, int]]:
-    """Return by type of Table 3.1 a surface as its name says, and the label found in its middle."""
-    y, x = np.mgrid[-20:21, -20:21]
-    found = {}
-    for name, (a, b) in BENT.items():
-        height = (a * x**2 + b * y**2) / 100
-        bend = surface_curvature(height, 1.0)
-        labels = hk_labels(bend.mean, bend.gaussian, h_zero=1e-3, k_zero=1e-5)
-        found[name] = height, int(labels[20, 20])
-    return found
-
-
-def labels_by_name() -> dict[str, int]:
-    """Return the label of each type; ``none``, H = 0 and K > 0, is no surface's: by (3.25)."""
-    none = int(hk_labels([0.0], [1.0], h_zero=0.5, k_zero=0.5)[0])
-    return {name: label for name, (_, label) in labelled_patches().items()} | {"none": none}
-
-
-def surface_types() -> set[int]:
-    """Return the labels that a surface can have: those of all pairs of principal curvatures."""
-    first, second = np.meshgrid(np.arange(-2.0, 3.0), np.arange(-2.0, 3.0))
-    return set(hk_labels((first + second) / 2, first * second, 0.0, 0.0).ravel().tolist())
-
-
-def window_divisors() -> dict[str, float]:
-    """Return by what the library's windows must be multiplied to give the printed numbers."""
-    windows = vars(curvature_windows(7))
-    return {
-        name: float(np.dot(integers, integers) / np.dot(integers, windows[field]))
-        for name, (field, integers) in PRINTED_WINDOWS.items()
-    }
-
-
-def change_with_viewpoint() -> float:
-    """Return the largest change, with the viewpoint, of H of a cylinder and of K of a sphere.
-
-    Both have the radius 1, so that H = −1/2 and K = 1 by (3.22) and (3.23) at every viewpoint. The
-    cylinder is seen at a tilt φ of its axis, with the height z = (x sin φ + √(1 − y²))/cos φ. A
-    point of the sphere is seen at another pixel, with z = √(1 − x² − y²).
-    """
-    tilt, y = np.meshgrid(np.radians([0.0, 20, 40, 60]), [0.0, 0.3, 0.6])
-    side = np.sqrt(1 - y**2)
-    z_x, z_y, z_yy = np.tan(tilt), -y / (side * np.cos(tilt)), -1 / (side**3 * np.cos(tilt))
-    mean = (1 + z_x**2) * z_yy / (2 * (1 + z_x**2 + z_y**2) ** 1.5)  # z_xx = z_xy = 0
-    x, y = np.meshgrid(y[:, 0], y[:, 0])
-    z = np.sqrt(1 - x**2 - y**2)
-    bends = (1 - y**2) * (1 - x**2) - (x * y) ** 2  # (z_xx z_yy − z_xy²) z⁶
-    gaussian = bends / z**6 / (1 + (x**2 + y**2) / z**2) ** 2
-    return float(max(np.ptp(mean), np.ptp(gaussian)))
-
-
-def noisy_labels(noise: float, rng: np.random.Generator) -> tuple[dict[str, NDArray], pd.Series]:
-    """Label a ball, a saddle and a plane with noise (µm) at 3.5 standard errors.
-
-    Returns the label maps by name, and the share of right labels within 15 px of the middle.
-    """
-    y, x = np.mgrid[-40:41, -40:41].astype(float)
-    pieces = {
-        "ball": (np.sqrt(90.0**2 - x**2 - y**2), 1),
-        "saddle": ((x**2 - y**2) / 120, 6),
-        "plane": (0 * x, 5),
-    }
-    maps, shares = {}, {}
-    for name, (height, label) in pieces.items():
-        bend = surface_curvature(height + noise * rng.standard_normal(x.shape), 1.0, noise=noise)
-        maps[name] = hk_labels(bend)
-        near = (maps[name] > 0) & (np.hypot(x, y) < 15)
-        shares[name] = float(np.mean(maps[name][near] == label))
-    return maps, pd.Series(shares)
