@@ -96,8 +96,6 @@ class Level:
         Corners of the template in normalized coordinates.
     basis : ndarray, shape (n, 3, 3)
         Generators of the motion.
-    flow : ndarray, shape (2, n, N)
-        Velocity (x and y, px of the patch) of each pixel for each generator.
     grey, gradient : ndarray, shapes (H, W) and (2, N)
         Grey values, and their gradient in x and y per px of the patch.
     mean, contrast : float
@@ -117,7 +115,6 @@ class Level:
     smoothing: float
     corners: Array
     basis: Array
-    flow: Image
     grey: Image
     gradient: Image
     mean: float
@@ -125,6 +122,17 @@ class Level:
     noise_gain: float
     mask: Image | None
     size: float
+
+    @cached_property
+    def flow(self) -> Image:
+        """Velocity (x and y, px of the patch) of each pixel for each generator, 2×n×N."""
+        rows, columns = self.grey.shape
+        pad = padding(self.smoothing)
+        column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
+        points = self.to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
+        velocity = self.basis @ points
+        flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / self.to_template[0, 0]
+        return np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32)
 
     @cached_property
     def weight(self) -> Image:
@@ -308,11 +316,6 @@ def make_level(
         mask = np.where(share > 0.5, share, np.float32(0))  # most of it is the object
     grey, gradient, _ = cut_out(image, to_image @ to_frame, (rows, columns), smoothing, mask)
     weight = np.ones(grey.shape) if mask is None else mask[pad:-pad, pad:-pad].astype(np.float64)
-    column, row = np.meshgrid(np.arange(columns) + pad, np.arange(rows) + pad)
-    points = to_template @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
-    basis = GENERATORS[motion]
-    velocity = basis @ points
-    flow = (velocity[:, :2] - points[:2] * velocity[:, 2:]) / to_template[0, 0]
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1, height - 1] + [x, y]
     mean = float(np.average(grey, weights=weight))
     return Level(
@@ -322,8 +325,7 @@ def make_level(
         to_template=to_template,
         smoothing=smoothing,
         corners=apply_homography(np.linalg.inv(pose), edges),
-        basis=basis,
-        flow=np.ascontiguousarray(flow.transpose(1, 0, 2), np.float32),
+        basis=GENERATORS[motion],
         grey=grey,
         gradient=gradient,
         mean=mean,

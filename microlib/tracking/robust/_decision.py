@@ -99,7 +99,7 @@ def confidence(
     *,
     score: float,
     second_score: float,
-    inlier_ratio: float,
+    agreeing: float,
     displacement: float,
     sigma: float,
 ) -> float:
@@ -111,8 +111,9 @@ def confidence(
         Those of the regression.
     score, second_score : float
         Information (nats) in which the blocks agree, and that of the best pose elsewhere.
-    inlier_ratio : float
-        Share of the template's points that stay when they are followed from the pose.
+    agreeing : float
+        Share of the template's points that stay when they are followed from the pose, and half of
+        the share of its pixels that are hidden, whose points cannot stay.
     displacement : float
         Distance of the center from the expected one, in longer sides of the template.
     sigma : float
@@ -120,5 +121,5 @@ def confidence(
     """
     best, second = (np.log1p(max(each, 0.0)) for each in (score, second_score))
     spread = np.log(np.clip(sigma, 1e-3, 10.0))
-    features = np.array([1.0, best - second, inlier_ratio, min(displacement, 0.5), spread])
+    features = np.array([1.0, best - second, agreeing, min(displacement, 0.5), spread])
     return float(1.0 / (1.0 + np.exp(-features @ coefficients)))

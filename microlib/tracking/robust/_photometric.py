@@ -7,6 +7,7 @@ change by a blur, its square and cube (a tone curve), and a bias that is a sum o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -38,8 +39,11 @@ class PhotometricFit(Alignment):
         Derivative of the M-estimator's ψ, weight times residual, by the residual.
     hidden : ndarray of bool, shape (H, W)
         Pixels whose residual is neither noise nor small beside the template.
+    blur : int
+        Number of the blur of the template.
     """
 
+    blur: int = 0
     blocks: Blocks
     noise_ratio: float
     psi_slope: Image
@@ -48,18 +52,34 @@ class PhotometricFit(Alignment):
 
 @dataclass(frozen=True, eq=False)
 class PhotometricLevel(Level):
-    """A template, sampled at half pixels, with the columns of the photometric model.
+    """A template with the columns of the photometric model.
 
     Attributes
     ----------
-    columns : ndarray, shape (m, N)
-        Grey values that the model sums up.
-    column_slopes : ndarray, shape (6, N)
-        Derivatives of the columns that depend on the template by its grey value.
+    blurred : ndarray, shape (H, W)
+        Grey values after a small blur.
     """
 
-    columns: Image
-    column_slopes: Image
+    blurred: Image
+
+    @cached_property
+    def columns(self) -> tuple[Image, Image]:
+        """Grey values that the model sums up, and derivatives by the template's, m×N and 6×N.
+
+        Only the first columns depend on the template.
+        """
+        contrast = max(self.contrast, TINY)
+        rows, columns = self.grey.shape
+        t = (self.grey - self.mean) / contrast
+        v, u = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
+        blur = self.blurred - self.grey
+        blur /= max(float(blur.std()), TINY)
+        # Gain, gain along x and along y, blur, and the square and cube of a tone curve.
+        values = np.stack([t, u * t, v * t, blur, t**2, t**3]).astype(np.float32)
+        slopes = np.stack([np.ones_like(t), u, v, 0 * t, 2 * t, 3 * t**2]) / contrast
+        bias = _bias_columns(rows, columns, self.settings.bias_splines)
+        values = np.concatenate([values.reshape(6, -1), bias])
+        return values, slopes.reshape(6, -1).astype(np.float32)
 
     def align_photometric(
         self, image: Image, pose: Array, noise: float, saturation: float
@@ -73,15 +93,16 @@ class PhotometricLevel(Level):
         tolerance = settings.robust_tolerance * 2**self.halvings
         grey, gradient, weight = self.patch(image, pose, saturation)
         inliers = inlier_weight(self, grey, weight, noise).ravel()
-        coefficients = weighted_least_squares(self.columns, grey.ravel(), inliers)
+        columns, slopes = self.columns
+        coefficients = weighted_least_squares(columns, grey.ravel(), inliers)
         steps = 0
         while steps < settings.robust_iterations:
             steps += 1
-            gain = coefficients[_TEMPLATE].astype(np.float32) @ self.column_slopes
+            gain = coefficients[_TEMPLATE].astype(np.float32) @ slopes
             mean = np.float32(0.5) * (gradient + gain * self.gradient)  # of ESM, as in `_rows`
             motion = self.flow[0] * mean[0] + self.flow[1] * mean[1]
-            design = np.concatenate([motion, self.columns])
-            residual = grey.ravel() - coefficients.astype(np.float32) @ self.columns
+            design = np.concatenate([motion, columns])
+            residual = grey.ravel() - coefficients.astype(np.float32) @ columns
             prior = weight.ravel() * inliers
             of_inliers = residual[prior > 1 / 3]
             if of_inliers.size < 3 * len(design):
@@ -98,9 +119,9 @@ class PhotometricLevel(Level):
                 break
         shape = self.grey.shape
         residual, robust = residual.reshape(shape), robust.reshape(shape)
-        model = (coefficients[_TEMPLATE] @ self.columns[_TEMPLATE]).astype(np.float32)
-        middle = self.columns[_BIAS, (shape[0] // 2) * shape[1] + shape[1] // 2]
-        gain_of_middle = float(coefficients[0]) / self.contrast
+        model = (coefficients[_TEMPLATE] @ columns[_TEMPLATE]).astype(np.float32)
+        middle = columns[_BIAS, (shape[0] // 2) * shape[1] + shape[1] // 2]
+        gain_of_middle = float(coefficients[0]) / max(self.contrast, TINY)
         correlation = _multiple_correlation(grey, residual, robust)
         return PhotometricFit(
             pose=pose,
@@ -191,38 +212,12 @@ def _hidden(residual: Image, model: Image, noise: float, window: float) -> Image
     return np.asarray(square > (3 * noise) ** 2 + variance / 4)
 
 
-def make_photometric(level: Level, blurred: Level) -> PhotometricLevel:
-    """Return a template with the columns of its photometric model.
-
-    `blurred` is the same template after a small blur.
-    """
-    rows, columns = level.grey.shape
-    contrast = max(level.contrast, TINY)
-    t = (level.grey - level.mean) / contrast
-    v, u = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    blur = blurred.grey - level.grey
-    one, zero = np.ones_like(t), np.zeros_like(t)
-    # Each column of the template, and its derivative by the template's grey value.
-    of_template = {
-        "gain": (t, one),
-        "gain along x": (u * t, u),
-        "gain along y": (v * t, v),
-        "blur": (blur / max(float(blur.std()), TINY), zero),
-        "square": (t * t, 2 * t),
-        "cube": (t**3, 3 * t * t),
-    }
-    across, down = (_splines(side, level.settings.bias_splines) for side in (columns, rows))
-    of_bias = [a * b[:, None] for a in across for b in down]
-    values = np.array([column for column, _ in of_template.values()] + of_bias, np.float32)
-    slopes = np.array([slope for _, slope in of_template.values()], np.float32)
-    return PhotometricLevel(
-        **{**vars(level), "contrast": contrast},
-        columns=values.reshape(len(values), -1),
-        column_slopes=slopes.reshape(len(slopes), -1) / np.float32(contrast),
-    )
-
-
-def _splines(length: int, count: int) -> Array:
-    """Return cubic B-splines with evenly spaced knots, count×length."""
+@lru_cache(maxsize=8)
+def _bias_columns(rows: int, columns: int, count: int) -> Image:
+    """Return the products of cubic B-splines with evenly spaced knots along both sides."""
     knots = np.concatenate([[-1.0] * 3, np.linspace(-1, 1, count - 2), [1.0] * 3])
-    return BSpline.design_matrix(np.linspace(-1, 1, length), knots, 3).toarray().T
+    down, across = (
+        BSpline.design_matrix(np.linspace(-1, 1, side), knots, 3).toarray().T
+        for side in (rows, columns)
+    )
+    return (across[:, None, None] * down[:, :, None]).reshape(count**2, -1).astype(np.float32)

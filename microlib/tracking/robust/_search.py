@@ -165,7 +165,7 @@ class Search:
         best, *others = template.different([fit.pose for fit in fits], scores)
         fit = fits[best]
         layer = frame.layer(template.fine.halvings)
-        inlier_ratio, moved = template.points.follow_from(layer, fit.pose)
+        inlier_ratio, moved = template.points[fit.blur].follow_from(layer, fit.pose)
         candidate = judge_photometric(template, fit)
         if fit.reason:
             return candidate, inlier_ratio
@@ -174,7 +174,7 @@ class Search:
             settings.confidence_coefficients,
             score=scores[best],
             second_score=scores[others[0]] if others else 0.0,
-            inlier_ratio=inlier_ratio,
+            agreeing=inlier_ratio + fit.hidden.mean() / 2,
             displacement=np.hypot(*template.displacement(self.pose, fit.pose)) / template.side,
             sigma=sigma,
         )
@@ -186,7 +186,8 @@ class Search:
         return replace(candidate, confidence=probability), inlier_ratio
 
     def _flow_pose(self, pose: Array) -> Array | None:
-        return self.template.points.flow_pose(self.frame.layer(self.template.fine.halvings), pose)
+        layer = self.frame.layer(self.template.fine.halvings)
+        return self.template.points[0].flow_pose(layer, pose)
 
     def _object_moved(self, fit: PhotometricFit, sigma: float) -> bool:
         """Return whether a pose may be that of the ground around an object that moved.

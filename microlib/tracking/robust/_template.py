@@ -14,7 +14,7 @@ from microlib.tracking._geometry import cut_around, translate
 from microlib.tracking._sampling import SearchFrame, half_pixel
 from microlib.tracking._settings import TrackerSettings
 from microlib.tracking.robust._blocks import Blocks, compare
-from microlib.tracking.robust._photometric import PhotometricFit, PhotometricLevel, make_photometric
+from microlib.tracking.robust._photometric import PhotometricFit, PhotometricLevel
 from microlib.tracking.robust._starts import PointFlow, ncc_peaks
 
 #: Margin (px) around the template in which it is aligned at half pixels.
@@ -37,8 +37,8 @@ class SearchTemplate:
         Finest level of the search, in each of the blurs of the settings.
     photometric : tuple of PhotometricLevel
         The same, sampled at half pixels, with the photometric model.
-    points : PointFlow
-        Points of the template that optical flow can follow.
+    points : tuple of PointFlow
+        Points of the template that optical flow can follow, in each of the blurs.
     noise : float
         Standard deviation of the noise of the first frame.
     shape : tuple of int
@@ -55,7 +55,7 @@ class SearchTemplate:
     coarse: Level
     blurred: tuple[Level, ...]
     photometric: tuple[PhotometricLevel, ...]
-    points: PointFlow
+    points: tuple[PointFlow, ...]
     noise: float
     shape: tuple[int, int]
     surroundings: Level
@@ -114,7 +114,7 @@ class SearchTemplate:
             return None
         start = translate(pose, -first * scale)
         fit = level.align_photometric(half_pixel(near), start, frame.noise, frame.saturation)
-        return None if fit is None else replace(fit, pose=translate(fit.pose, first * scale))
+        return fit and replace(fit, pose=translate(fit.pose, first * scale), blur=blur)
 
     def align_best_blur(self, frame: SearchFrame, pose: Array) -> PhotometricFit | None:
         """Align with the photometric model, with the template in the blur that agrees best."""
@@ -142,15 +142,16 @@ def make_search_template(
     cut = partial(make_level, box=box, pose=pose, motion=motion, settings=settings, mask=mask)
     smoothing = settings.coarse_smoothing
     layer = frame.layer(finest)
-    blurred, photometric = [], []
+    blurred, photometric, points = [], [], []
     for blur in settings.blurs:
         image = cv2.GaussianBlur(layer, (0, 0), blur) if blur else layer
         blurred.append(cut(image, halvings=finest, smoothing=smoothing))
+        points.append(PointFlow(blurred[-1], image, pose, max(width, height) >> finest))
         sharp, more_blurred = (
             cut(half_pixel(each), halvings=finest, density=2, smoothing=settings.fine_smoothing)
             for each in (image, cv2.GaussianBlur(image, (0, 0), 0.8))
         )
-        photometric.append(make_photometric(sharp, more_blurred))
+        photometric.append(PhotometricLevel(**vars(sharp), blurred=more_blurred.grey))
     rows, columns = frame.image.shape
     x, y = np.maximum(np.subtract(box[:2], box[2:]), 0).tolist()
     right, bottom = min(box[0] + 2 * width, columns), min(box[1] + 2 * height, rows)
@@ -160,7 +161,7 @@ def make_search_template(
         coarse=cut(frame.layer(coarsest), halvings=coarsest, smoothing=smoothing),
         blurred=tuple(blurred),
         photometric=tuple(photometric),
-        points=PointFlow(blurred[0], layer, pose, max(width, height) >> finest),
+        points=tuple(points),
         noise=frame.noise,
         shape=(height, width),
         surroundings=make_level(
@@ -186,7 +187,7 @@ def _periods(template: SearchTemplate, frame: SearchFrame, pose: Array) -> tuple
     steps = [step for step in steps if np.hypot(*step) > settings.apart]
     periods = []
     for step in steps[: settings.max_periods]:
-        fit = level.align(layer, translate(pose, step), tolerance=settings.tolerance)
+        fit = level.align(layer, translate(pose, step), tolerance=settings.rough_tolerance)
         period = template.displacement(pose, fit.pose)
         shifted = translate(pose, period)
         resembles = template.score(frame, shifted) > settings.period_share * own
