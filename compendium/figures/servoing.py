@@ -14,44 +14,10 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from compendium import thesis
-from compendium.figures.panels import SYMBOL, arrows, boxes, letter, photograph
+from compendium.figures.panels import letter, photograph
 from compendium.figures.style import COLORS
 from compendium.ledger import claim
 from microlib.tracking import Track
-
-
-def draw_loop() -> Figure:
-    """Draw figure 2.3: image-based servoing as dynamic look-and-move."""
-    figure, axes = plt.subplots(figsize=(6.4, 3.1))
-    axes.set(xlim=(-0.75, 11.6), ylim=(-0.15, 3.3), aspect="equal")
-    axes.axis("off")
-    blocks = {
-        "control law\n(2.3) or (2.28)": (1.93, 2.0, 2.34, 1.0, "orange"),
-        "stage with its\nposition loop": (5.0, 2.0, 2.2, 1.0, "grey"),
-        "microscope\nand camera": (8.6, 2.0, 2.2, 1.0, "grey"),
-        "tracker\nESM, Kalman": (6.8, 0.0, 2.2, 1.0, "blue"),
-    }
-    boxes(axes, blocks)
-    axes.plot(0.75, 2.5, "o", ms=20, mfc="none", mec=COLORS["ink"], mew=1.4)
-    axes.text(0.75, 2.5, "Σ", ha="center", va="center")
-    axes.plot([10.85, 11.4, 11.4], [2.5, 2.5, 0.5], color=COLORS["ink"], lw=1.4)
-    axes.plot([6.75, 0.75], [0.5, 0.5], color=COLORS["ink"], lw=1.4)
-    forward = [((x, 2.5), (end, 2.5)) for x, end in ((-0.6, 0.45), (1.05, 1.88), (4.32, 4.95))]
-    back = [((11.4, 0.5), (9.05, 0.5)), ((0.75, 0.5), (0.75, 2.2))]
-    arrows(axes, [*forward, ((7.25, 2.5), (8.55, 2.5)), *back])
-    for x, y, label in (
-        (-0.35, 2.65, "$f^*$"),
-        (1.42, 2.65, "$e$"),
-        (4.55, 2.65, "$u$"),
-        (7.9, 2.65, "pose"),
-        (10.2, 0.65, "image"),
-        (3.6, 0.65, "feature $f$"),
-        (0.3, 2.1, "−"),
-        (1.0, 1.75, "+"),
-    ):
-        size = SYMBOL if "^" in label else None
-        axes.text(x, y, label, ha="center", va="bottom", fontsize=size)
-    return figure
 
 
 def draw_track(

@@ -13,14 +13,12 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, ListedColormap, Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from compendium.figures.data import FOLDER_VARIABLE, show
-from compendium.figures.panels import legend_below, length, letter, photograph
-from compendium.figures.style import COLORS
+from compendium.figures.panels import legend_below, photograph
 from microlib.curvature import HK_NAMES
 
 #: Convex in blues, concave in oranges, saddles and flats between; label 0 (unknown) is white.
@@ -33,42 +31,6 @@ HK_COLORS = (
 PALETTE = ListedColormap(HK_COLORS)
 #: Points of a surface along each side; the book stores some 60 kB.
 MOST_POINTS = 160
-
-
-def draw_sinking_stage() -> Figure:
-    """Draw figure 3.2: a hill on a stage that sinks until its top is in focus."""
-    across = np.linspace(-1, 1, 300)
-    top = 0.75  # h_S, the height of S, in units of the drawing
-    surface = top * np.exp(-((across / 0.45) ** 2))
-    sinks = {"d = 0:\nthe ground is sharp": 0.0, "on the way:\nthe flank is sharp": 0.45}
-    sinks["at the height of S:\nthe top is sharp"] = top
-    figure, row = plt.subplots(1, 3, figsize=(6.4, 3.9), sharey=True)
-    for axes, (title, lowered) in zip(row, sinks.items(), strict=True):
-        axes.fill_between(across, -lowered, surface - lowered, color=COLORS["sky"], alpha=0.6, lw=0)
-        axes.fill_between(across, -lowered - 0.08, -lowered, color=COLORS["grey"], lw=0)
-        axes.axhline(0, color=COLORS["orange"], lw=2)
-        sharp = np.abs(surface - lowered) < 0.035
-        axes.plot(np.where(sharp, across, np.nan), surface - lowered, color=COLORS["ink"], lw=4)
-        axes.plot([0], [top - lowered], "o", color=COLORS["blue"])
-        axes.text(0.08, top + 0.02 - lowered, "S")
-        axes.set_title(title)
-        axes.set(xlim=(-1.25, 1.25), ylim=(-1.05, 1.3))
-        axes.axis("off")
-        axes.fill(
-            [-0.3, 0.3, 0.18, -0.18], [1.28, 1.28, 1.0, 1.0], color=COLORS["ink"], alpha=0.65, lw=0
-        )
-        if lowered:
-            # From the plane in focus, where the ground was, down to where it is.
-            length(axes, (-0.92, 0), (-0.92, -lowered), "d", (0.14, 0))
-    letter(row)
-    length(row[0], (0.62, 0), (0.62, top), "$h_S$", (0.2, 0))
-    row[0].text(0.36, 1.06, "objective")
-    below = {"va": "top"}
-    row[0].text(-1.25, -0.12, "plane in focus", **below)
-    for axes in row[1:]:
-        axes.annotate("", (1.15, -0.95), (1.15, -0.3), arrowprops={"arrowstyle": "-|>", "lw": 4})
-    row[1].text(1.05, -0.85, "the stage sinks", ha="right", va="center")
-    return figure
 
 
 def draw_labels(axes: Axes, labels: NDArray[np.uint8]) -> None:
