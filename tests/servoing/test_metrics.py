@@ -30,6 +30,11 @@ def test_second_order_response_overshoots_by_the_damping_formula():
     assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
 
 
+def test_settling_time_begins_with_the_first_sample():
+    found = step_metrics([3.0, 4.0, 6.0, 7.5], [[0.0], [4.0], [9.9], [10.0]], [10.0])
+    assert found.settling_time == pytest.approx(3.0)
+
+
 def test_step_metrics_are_nan_where_the_response_does_not_settle():
     found = step_metrics([0, 1, 2], [[0.0], [2.0], [0.0]], [1.0])
     assert np.isnan([found.settling_time, found.accuracy, found.precision]).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microlib.servoing import CameraTiming, StageModel
+from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel
 from tests.scenes.microscope import simulated_scope
 
 
@@ -59,3 +59,18 @@ def test_exposures_are_one_interval_apart_and_frames_return_after_the_latency():
     times = [scope.camera.snap()[1] for _ in range(3)]
     np.testing.assert_allclose(times, [0.0, 0.25, 0.5])
     assert scope.clock.now() == pytest.approx(0.6)
+
+
+def test_jitter_of_frames_has_the_stated_standard_deviation():
+    seen = []
+    scope = SimulatedWorkstation(
+        lambda feature: (seen.append(feature), np.zeros((9, 9)))[1],
+        jacobian=np.eye(2),
+        stage=StageModel(saturation=1.0),
+        camera=CameraTiming(interval=0.1, jitter=0.3),
+        rng=0,
+    )
+    for _ in range(1000):
+        scope.camera.snap()
+    # 1000 numbers per axis determine a standard deviation to 2.2 %; three times that is allowed.
+    np.testing.assert_allclose(np.std(seen, axis=0), 0.3, rtol=0.07)

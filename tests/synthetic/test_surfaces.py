@@ -43,6 +43,19 @@ def test_surfaces_have_the_expected_curvature():
     assert ball[0, 0] == 0
 
 
+def test_default_width_of_a_cylinder_is_that_of_the_map():
+    found = synthetic.parabolic_cylinder((5, 31), 9.0)
+    np.testing.assert_allclose(found, synthetic.parabolic_cylinder((5, 31), 9.0, width=30.0))
+
+
+def test_noise_at_white_and_black_is_cut_off():
+    for level in (0.0, 255.0):
+        flat = np.full(SHAPE, level)
+        frame = synthetic.focal_stack(flat, 0 * flat, [0.0], blur_rate=0.1, noise=3.0, rng=0)[0]
+        assert np.abs(frame - level).max() < 20
+        assert np.mean(frame == level) > 0.4
+
+
 def test_blur_grows_with_the_distance_from_focus():
     rng = np.random.default_rng(0)
     texture = synthetic.mixed_texture(SHAPE, rng)
