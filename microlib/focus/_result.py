@@ -57,9 +57,6 @@ class FocusResult(FlatResult):
         frame, plus `offset`.
     pixel_size : float or None
         Side of a pixel of the maps, µm, if the metadata of the frames contain it.
-    corner : (float, float)
-        x and y of the middle of the first pixel, in pixels of the maps from where x and y of the
-        frames are 0: not 0 of a region.
     unit : {"µm", "frames"}
         Unit of the depth and of its uncertainty.
     """
@@ -74,14 +71,7 @@ class FocusResult(FlatResult):
     gain: Array | None = None
     offset: Array | None = None
     pixel_size: float | None = None
-    corner: tuple[float, float] = (0.0, 0.0)
     unit: str = "µm"
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        """x and y of the middle of the first pixel, µm; 0 where the pixel size is not known."""
-        size = self.pixel_size or 0.0
-        return size * self.corner[0], size * self.corner[1]
 
     def __repr__(self) -> str:
         rows, columns = self.depth.shape
@@ -193,7 +183,6 @@ def build_result(
         all_in_focus=image,
         at_end=found.at_end,
         pixel_size=stack.pixel_size,
-        corner=stack.corner,
         unit=unit,
         warps=warps,
         gain=gain,

@@ -148,14 +148,11 @@ def read_frames(
                 raise ValueError(f"{stack.name(k)} must be {kind} like the first frame, got {got}")
             yield prepare(frame, k)
 
-    x, y = np.add(stack.corner, (0, 0) if part is None else part[:2]).tolist()
-    to_center = (by - 1) / 2  # of the first block
     return replace(
         stack,
         frames=LazyFrames(read),
         first=prepare(stack.first, 0),
         pixel_size=None if stack.pixel_size is None else stack.pixel_size * by,
-        corner=((x + to_center) / by, (y + to_center) / by),
     )
 
 

@@ -43,9 +43,6 @@ class Stack(Result, Iterable[Image]):
     pixel_size : float or None
         Side of a pixel in the object plane, µm/px. None if it is not known, and for frames of one
         file each.
-    corner : (float, float)
-        x and y of the center of the first pixel, in pixels of this stack (after `reduce`). They are
-        0 at the center of the first pixel of the frames as stored.
     files : tuple of Path
         The files that are read, in order.
     """
@@ -58,7 +55,6 @@ class Stack(Result, Iterable[Image]):
     axis: str = ""
     positions: Array | None = None
     pixel_size: float | None = None
-    corner: tuple[float, float] = (0.0, 0.0)
     files: tuple[Path, ...] = ()
 
     def __iter__(self) -> Iterator[Image]:
@@ -84,12 +80,6 @@ class Stack(Result, Iterable[Image]):
     def color(self) -> bool:
         """Whether the frames are in color."""
         return self.first.ndim == 3
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        """x and y of the center of the first pixel, µm; 0 where the pixel size is not known."""
-        size = self.pixel_size or 0.0
-        return size * self.corner[0], size * self.corner[1]
 
 
 @dataclass(frozen=True)

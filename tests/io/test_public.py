@@ -26,20 +26,16 @@ Z = np.array([0.0, 10.0, 21.0, 30.0, 42.0])
 def placed(um: float = 1.0, grey: float = 1.0, away: float = 0.0) -> Stack:
     """Return frames whose grey level rises by 3 a column and 1 a row, and thus shows the place.
 
-    The origins of heights, places and grey levels are `away` of their own unit from the usual ones.
+    The origins of heights and grey levels are `away` of their own unit from the usual ones.
     """
     row, column = np.indices(SHAPE)
     frames = np.stack([(3 * column + row + 20.0 + away) * grey] * len(Z))
-    return with_scale(frames, (7.0 + away + Z) * um, 2.6 * um, ((12 + away) * um, (away - 5) * um))
+    return with_scale(frames, (7.0 + away + Z) * um, 2.6 * um)
 
 
-def with_scale(
-    frames: np.ndarray, positions: np.ndarray, pixel_size: float, origin: tuple
-) -> Stack:
-    """Return a stack as from a file with a scale; `origin` is that of the first pixel, µm."""
-    corner = (origin[0] / pixel_size, origin[1] / pixel_size)
-    known = {"positions": positions, "pixel_size": pixel_size, "corner": corner}
-    return replace(read_frames(frames), **known)
+def with_scale(frames: np.ndarray, positions: np.ndarray, pixel_size: float) -> Stack:
+    """Return a stack as from a file with a scale."""
+    return replace(read_frames(frames), positions=positions, pixel_size=pixel_size)
 
 
 HEIGHT = np.random.default_rng(0).normal(40.0, 9.0, (6, 8))
@@ -55,7 +51,7 @@ def test_frames_keep_unit_and_origin_of_their_source(um, grey, away):
     frames = (np.stack(list(each)) for each in (found, plain))
     hold_scaled(*frames, lambda level: grey * (level + away), within=1e-6)  # single precision
     assert found.count == plain.count == len(Z)
-    for name, shift in (("positions", away), ("origin", away), ("pixel_size", 0.0)):
+    for name, shift in (("positions", away), ("pixel_size", 0.0)):
         wanted = um * (np.array(getattr(plain, name)) + shift)
         np.testing.assert_allclose(getattr(found, name), wanted)
 
@@ -110,35 +106,24 @@ def test_writers_refuse_by_name_and_keep_their_arrays(write, tmp_path):
 
 @pytest.mark.parametrize("region", [None, (5, 3, 31, 24), (0, 2, 40, 27)])
 @pytest.mark.parametrize("reduce", [1, 2, 3, 5])
-def test_reader_origin_follows_region_and_reduce(region, reduce):
+def test_pixels_of_a_region_are_means_of_blocks_from_its_corner(region, reduce):
     """The grey level shows the position of a pixel, also where a pixel is the mean of a block."""
     for source in (placed(), read_frames(placed())):
         reader = read_frames(source, region=region, reduce=reduce)
-        row, column = np.indices(reader.shape)
-        x, y = (
-            o + reader.pixel_size * n for o, n in zip(reader.origin, (column, row), strict=True)
-        )
-        level = 20.0 + (3 * (x - 12.0) + y - -5.0) / 2.6
+        assert reader.pixel_size == pytest.approx(2.6 * reduce)
+        row, column = np.indices(reader.shape) * reduce + (reduce - 1) / 2
+        x, y = (region or (0, 0))[:2]
+        level = 20.0 + 3 * (column + x) + row + y
         np.testing.assert_allclose(next(iter(reader)), level, rtol=1e-6)
 
 
-def test_depth_origin_follows_region_and_reduce():
+def test_depth_of_a_region_has_the_positions_of_the_file_and_larger_pixels():
     texture = mixed_texture((80, 96), np.random.default_rng(0))
     stack = focal_stack(texture, np.full((80, 96), 21.0), Z, blur_rate=0.1)
-    frames = with_scale(stack, 7.0 + Z, 2.6, (12.0, -5.0))
+    frames = with_scale(stack, 7.0 + Z, 2.6)
     found = depth_from_focus(frames, region=(6, 4, 80, 70), reduce=2)
     assert found.pixel_size == pytest.approx(5.2)
-    # The center of the first block, which is columns 6 and 7, rows 4 and 5.
-    assert found.origin == pytest.approx((12.0 + 6.5 * 2.6, -5.0 + 4.5 * 2.6))
     assert np.nanmedian(found.depth) == pytest.approx(28.0, abs=1.0)
-
-
-def test_origin_follows_a_pixel_size_that_is_set_later():
-    stack = np.random.default_rng(0).integers(0, 255, (5, 64, 80)).astype(np.uint8)
-    found = depth_from_focus(stack, spacing=1.0, region=(20, 10, 48, 40), reduce=2)
-    assert found.origin == (0.0, 0.0)
-    # The center of the first block, in pixels of the frame, which are 1.3 µm.
-    assert replace(found, pixel_size=2.6).origin == pytest.approx((20.5 * 1.3, 10.5 * 1.3))
 
 
 def test_labeled_array_is_rejected_since_its_axes_may_be_in_any_order():
