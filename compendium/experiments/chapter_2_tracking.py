@@ -1,4 +1,4 @@
-"""Chapter 2: the steps of ESM and of the Kalman filter, one by one, for the figures.
+"""Chapter 2: the steps of ESM, one by one, for the figures.
 
 The minimization is written here by its equations, for the text. A test compares the minimization of
 `microlib.tracking` with this one.
@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from compendium import thesis
-from microlib.synthetic import gripper_scene, mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter, Track
-from microlib.tracking.robust import ATTEMPTS
+from microlib.synthetic import mixed_texture
+from microlib.tracking import ESMTracker
 
 #: Half the side of the template, px, and the middle of the image, (x, y) in px.
 HALF, MIDDLE = 32, np.array([80.0, 80.0])
@@ -150,85 +148,3 @@ def library_error(seed: int) -> float:
     track = ESMTracker(first, box, "affine").track(target.image.astype(np.float32))
     inner = np.diag([1 - RIM / HALF, 1 - RIM / HALF, 1.0])
     return float(np.abs(track.corners - corners(target.warp @ inner)).max())
-
-
-def kalman_track(
-    seed: int, *, interval: float, acceleration: float, noise: float
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Follow a coordinate that speeds up for eight frames by `KalmanFilter` and by the formulas.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the noise.
-    interval, acceleration, noise : float
-        As for `KalmanFilter`: s, px/s², px. The motion's acceleration is as large as stated.
-
-    Returns
-    -------
-    track : DataFrame
-        A row each frame: ``frame``, ``true``, ``measured``, ``predicted``, ``estimated`` (px), and
-        the standard uncertainties of the last two, ``predicted_uncertainty`` and
-        ``estimated_uncertainty``.
-    states : DataFrame
-        After each frame x, v and P by the library, and minus those by the formulas.
-    """
-    rng = np.random.default_rng(seed)
-    times = interval * np.arange(9)
-    true = 40 * times + acceleration * times**2 / 2
-    measured = true + rng.normal(0, noise, len(times))
-    settings = {"interval": interval, "acceleration": acceleration, "noise": noise}
-    kalman = KalmanFilter((measured[0], 0.0), **settings)
-    a, b = np.array([[1, interval], [0, 1]]), np.array([interval**2 / 2, interval])
-    state, p = np.array([measured[0], 0.0]), kalman.covariance
-    rows, states = [], []
-    for frame in range(1, len(times)):
-        predicted, predicted_uncertainty = kalman.predict()[0], np.sqrt(kalman.covariance[0, 0])
-        kalman.update((measured[frame], 0.0))
-        estimated, uncertainty = kalman.position[0], np.sqrt(kalman.covariance[0, 0])
-        positions = [true[frame], measured[frame], predicted, estimated]
-        rows.append([frame, *positions, predicted_uncertainty, uncertainty])
-        state, p = a @ state, a @ p @ a.T + acceleration**2 * np.outer(b, b)
-        gain = p[:, 0] / (p[0, 0] + noise**2)
-        state, p = state + gain * (measured[frame] - state[0]), p - np.outer(gain, p[0])
-        library = [estimated, kalman.velocity[0], *kalman.covariance.ravel()]
-        states.append([*library, *np.array(library) - [*state, *p.ravel()]])
-    names = ["frame", "true", "measured", "predicted", "estimated"]
-    names += ["predicted_uncertainty", "estimated_uncertainty"]
-    parts = ["x", "v", "P11", "P12", "P21", "P22"]
-    columns = parts + [f"{part}, library − formula" for part in parts]
-    return pd.DataFrame(rows, columns=names), pd.DataFrame(states, columns=columns)
-
-
-def attempts_needed(seed: int) -> list[tuple[str, NDArray, Track, float, int]]:
-    """Track a gripper in three frames, each with as few attempts as find it.
-
-    Returns
-    -------
-    list of tuple
-        What changed since the first frame, the frame, the track, its error (px), and the number of
-        attempts.
-    """
-    rng = np.random.default_rng(seed)
-    scene = gripper_scene(
-        rng, pixel_size=thesis.effective_pixel("1X"), gap=thesis.GRIPPER_GAP, reach=110
-    )
-    box, first = scene.box(thesis.WINDOW, (0.0, 0.0)), scene.frame((0.0, 0.0), rng)
-    columns = np.arange(first.shape[1])
-    bar = np.where(abs(columns - box[0] - 12) < 9, 0.1, 1.0)
-    changes: list[tuple[str, tuple[float, float], NDArray | float]] = [
-        ("another light", (4.3, -2.4), np.linspace(0.6, 1.1, len(columns))),
-        ("partly hidden", (5.2, 5.1), bar),
-        ("far away", (38.6, 18.3), 1.0),
-    ]
-    found = []
-    for title, place, light in changes:
-        frame = scene.frame(place, rng) * light
-        for count in range(1, len(ATTEMPTS) + 1):
-            variant = type("Variant", (ESMTracker,), {"_attempts": ATTEMPTS[:count]})
-            track = variant(first, box, "translation").track(frame)
-            if not track.lost:
-                break
-        error = float(np.linalg.norm(track.corners[0] - box[:2] - place))
-        found.append((title, frame, track, error, count))
-    return found

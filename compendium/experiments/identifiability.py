@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from compendium.experiments.chapter_2 import PARAMETERS, grid_in_view
+from compendium.experiments.chapter_2 import grid_in_view
 from microlib.calibration import calibrate
 from microlib.microscope import Microscope
 
@@ -20,7 +20,8 @@ TILTS = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 PARALLEL_RUNS = 6
 #: Parameters of the microscope, the three lengths first.
 LENGTHS = ("tube_length", "focal_length", "distance")
-ALL = (*LENGTHS, *list(PARAMETERS)[1:])
+OTHERS = ("distortion", "alpha", "beta", "gamma", "tx", "ty")
+ALL = (*LENGTHS, *OTHERS)
 
 
 def changed(scope: Microscope, name: str, change: float) -> Microscope:
@@ -121,7 +122,7 @@ def focal_length_study(
         over the runs (NaN if f was lost in any); and that of the magnification (``M``). All
         standard deviations are relative.
     """
-    free = ("magnification", "focus", *list(PARAMETERS)[1:])
+    free = ("magnification", "focus", *OTHERS)
     known: dict[str, Any] = {"pixel_pitch": scope.pixel_pitch, "image_size": scope.image_size}
     rows = []
     for degrees in TILTS:
