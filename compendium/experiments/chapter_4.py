@@ -8,19 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import simpson
 
 from compendium import thesis
 from compendium.ledger import claim
-from microlib.embryo import dimple_geometry
 from microlib.membrane import (
     SmallSlopeWarning,
     elastic_modulus,
     finite_slope_modulus,
     mean_strain,
     membrane_stress,
-    modulus_samples,
-    modulus_uncertainty,
     steepest_depth,
 )
 
@@ -48,19 +44,6 @@ def exponents(change: float = 1e-6) -> pd.Series:
     return pd.Series(exponents)
 
 
-def std_of_modulus(errors: NDArray, rng: np.random.Generator) -> pd.DataFrame:
-    """Return the relative standard deviation and the bias of E (%) over that of the depth (%)."""
-    modulus = float(elastic_modulus(**INPUTS))
-    rows = []
-    for error in errors:
-        uncertainties = {"dimple_depth": error / 100 * INPUTS["dimple_depth"]}
-        drawn = modulus_samples(INPUTS, uncertainties, size=20_000, rng=rng)
-        first = modulus_uncertainty(INPUTS, uncertainties)
-        rows.append(100 * np.array([first, drawn.std(), drawn.mean() - modulus]) / modulus)
-    columns = ["first order", "drawn", "shift of the mean"]
-    return pd.DataFrame(rows, pd.Index(errors, name="standard deviation of the depth (%)"), columns)
-
-
 def probe_sines(half_widths: ArrayLike) -> NDArray:
     """Return the sin θ that (4.1) with the stress of (4.3) needs at the edge of a probe.
 
@@ -71,23 +54,6 @@ def probe_sines(half_widths: ArrayLike) -> NDArray:
     stress = membrane_stress(thesis.FORCE, a, INPUTS["dimple_depth"], **sizes)
     carried = thesis.FORCE * (1 - (c / a) ** 2)  # by the membrane; the pressure carries the rest
     return carried / (2 * np.pi * c * INPUTS["thickness"] * stress)
-
-
-def outlined_volumes() -> tuple[float, float]:
-    """Return the volumes (µm³) below the left and the right rim of the outline of Table 5.5.
-
-    Each half of the outline is turned about the lowest point of the dimple.
-    """
-    curve, pixel = thesis.outline_curve(), thesis.EMBRYO_PIXEL
-    bottom, _ = dimple_geometry(curve, pixel_size=pixel).bottom
-    maxima = curve.extrema()[0]
-    volumes = []
-    for side in (maxima[maxima < bottom], maxima[maxima > bottom]):
-        rim = side[curve(side).argmax()]
-        x = np.linspace(bottom, rim, 20_001)
-        volumes.append(abs(simpson((curve(rim) - curve(x)) * (x - bottom), x=x)))
-    left, right = 2 * np.pi * pixel**3 * np.array(volumes)
-    return float(left), float(right)
 
 
 def slope_corrections(depths: Sequence[float] | NDArray) -> pd.DataFrame:

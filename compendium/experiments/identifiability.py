@@ -82,22 +82,6 @@ def tilted(scope: Microscope, degrees: float) -> Microscope:
     return replace(scope, beta=np.deg2rad(0.8 * degrees), gamma=np.deg2rad(0.6 * degrees))
 
 
-def directions(scope: Microscope) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Return the singular values of the points' Jacobian, and the weakest change of the lengths.
-
-    Its columns have unit length. Each singular value is one combined change of the parameters;
-    the three that it moves most are named. The weakest change is scaled to 1 µm.
-    """
-    jacobian = projection_jacobian(scope, grid_in_view(scope), ALL)
-    norms = np.linalg.norm(jacobian, axis=0)
-    values, rows = np.linalg.svd(jacobian / norms)[1:]
-    largest = [", ".join(ALL[k] for k in np.argsort(-np.abs(row))[:3]) for row in rows]
-    weakest = rows[-1] / norms
-    weakest /= weakest[ALL.index("focal_length")]
-    table = pd.DataFrame({"singular value": values, "parameters that it moves most": largest})
-    return table, dict(zip(ALL, weakest.tolist(), strict=True))
-
-
 def focal_length_study(
     scope: Microscope, noise: float, runs: int, rng: np.random.Generator
 ) -> pd.DataFrame:

@@ -159,20 +159,6 @@ def shapes(radius: float, depth: float) -> dict[str, tuple[float, NDArray, NDArr
     return models
 
 
-def shape_misfits(curve: GaussianSum) -> pd.DataFrame:
-    """Return E (MPa) of membranes with the radius and depth of an outline, and their deviations.
-
-    The ``largest`` and the ``rms`` deviation from the left half are shares of the depth.
-    """
-    r, z, _ = left_half(curve)
-    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    rows = {}
-    for name, (modulus, r_of, z_of) in shapes(dimple.rim_radius, dimple.dimple_depth).items():
-        off = (z - np.interp(r, r_of, z_of)) / dimple.dimple_depth
-        rows[name] = modulus, np.abs(off).max(), np.sqrt(np.mean(off**2))
-    return pd.DataFrame(rows, index=["E", "largest", "rms"]).T
-
-
 def fit_shoulder(r: NDArray, z: NDArray) -> tuple[float, float, float, float]:
     """Return radius and depth of the best (4.2) with a level shoulder, and its rms and largest
     deviation, all in µm."""

@@ -192,19 +192,3 @@ def fit(station: Workstation, label: str) -> tuple[str, float, pd.DataFrame]:
     strength = f"{text.format(rate, size)}, {jitter * station.jitter:.2f} px of jitter".lstrip(", ")
     numbers = pd.DataFrame(table, columns=["number", "printed", "fitted"])
     return strength, float(np.sqrt(squared_sums[at] / len(table))), numbers
-
-
-def compare(station: Workstation) -> tuple[pd.DataFrame, dict[str, pd.DataFrame]]:
-    """Fit every one of `DISTURBANCES`.
-
-    Returns
-    -------
-    table : pandas.DataFrame
-        A row each, the best first: disturbance, fitted strength, deviation.
-    numbers : dict of str to pandas.DataFrame
-        The fitted numbers of each, as `fit` returns them.
-    """
-    fits = {label: fit(station, label) for label in DISTURBANCES}
-    rows = [(label, strength, deviation) for label, (strength, deviation, _) in fits.items()]
-    table = pd.DataFrame(rows, columns=["disturbance", "fitted", "deviation"])
-    return table.sort_values("deviation"), {label: numbers for label, (*_, numbers) in fits.items()}
