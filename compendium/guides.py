@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import tomllib
 import warnings
-from collections.abc import Mapping
-from os import PathLike
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import tifffile
 from numpy.typing import ArrayLike, NDArray
 
 from compendium import ROOT
+from microlib._common import PHYSICAL_RANGES, as_physical
 from microlib.embryo import ImageEstimate, modulus_from_image
 from microlib.io import read_grey
 from microlib.membrane import SmallSlopeWarning
@@ -22,6 +24,18 @@ from microlib.membrane import SmallSlopeWarning
 #: Where the inputs lie that the guides run on without the reader's own: photographs that others
 #: took, and rendered scenes whose truth is known.
 REAL, FOLDER = ROOT / "data" / "real", ROOT / "data" / "synthetic"
+#: What the results are in if a scale is not known.
+UNKNOWN = {
+    "spacing": "heights are in frames",
+    "pixel_size": "lengths are in px",
+    "rate": "times are in frames",
+}
+#: Unit of each scale.
+UNITS = {name: unit for name, (unit, _, _) in PHYSICAL_RANGES.items()} | {
+    "rate": "frames/s",
+    "box": "px",
+    "region": "px",
+}
 #: Share of the values that must be as near to the truth as is allowed. 5 % of the values may be
 #: further away: at the edges of a height map, a pixel sees two heights.
 SHARE = 0.95
@@ -99,104 +113,125 @@ def out_folder(given: str, name: str, *, continued: str = "") -> Path:
     )
 
 
-def resolve_scales(
-    path: str | PathLike[str],
-    given: Mapping[str, Any],
-    from_file: Mapping[str, Any] | None = None,
-) -> tuple[dict[str, Any], pd.DataFrame]:
+@dataclass(frozen=True)
+class Input:
+    """What a guide works on.
+
+    Attributes
+    ----------
+    path : str
+        The file, folder or pattern.
+    data : object
+        What was read from it.
+    scales : dict
+        Each scale by its name, as `microlib` takes it: None for one that is not known, or of which
+        each frame of the file has its own; "frame" for a spacing that is not known.
+    table : pandas.DataFrame
+        The value and the unit of each scale, and where it is from.
     """
-    Return each scale of an input as given or as its file contains it, or ask for it by name.
+
+    path: str
+    data: Any
+    scales: dict[str, Any]
+    table: pd.DataFrame
+
+
+def open_input(
+    demo: str,
+    given: str,
+    read: Callable[[str], Any],
+    needed: Collection[str] = (),
+    **asked: Any,
+) -> Input:
+    """
+    Read a guide's input with its scales, and print what it is and which scales are not known.
 
     A given scale comes first, then, for a file of `data`, that of its manifest, then that of the
     file.
 
     Parameters
     ----------
-    path : path-like
-        The input, from `find_input`.
-    given : mapping
-        The guide's parameters, None for what was not given.
-    from_file : mapping, optional
-        What the file contains of them, None for what it does not.
+    demo, given : str
+        As for `find_input`.
+    read : callable
+        Reads the path.
+    needed : collection of str
+        Names of the scales without which there is no result.
+    **asked
+        The guide's parameters by their names, None for what was not given.
 
     Returns
     -------
-    values : dict
-        Every scale by its name.
-    table : pandas.DataFrame
-        Its value, and where it is from.
+    Input
+        What was read, and every scale.
 
     Raises
     ------
     ValueError
-        If a scale is neither given nor in the file.
-
-    Examples
-    --------
-    >>> values, table = resolve_scales("mine.tif", {"spacing": 25.0, "pixel_size": None},
-    ...                                {"pixel_size": 3.9})
-    >>> values
-    {'spacing': 25.0, 'pixel_size': 3.9}
-    >>> table["from"].tolist()
-    ['given', 'the file']
-    >>> resolve_scales("mine.tif", {"spacing": None})
-    Traceback (most recent call last):
-    ValueError: spacing must be given for mine.tif, which does not contain it: -p spacing VALUE
+        If a film is one image, a needed scale is neither given nor in the file, or one has a value
+        that no microscope has.
     """
-    demo = (_entry(Path(path)) or {}).get("settings", {})
-    found: dict[str, tuple[Any, str]] = {}
-    for source, known in (("the file", from_file or {}), ("the demo", demo), ("given", given)):
-        found |= {n: (known[n], source) for n in given if known.get(n) is not None}
-    if missing := [name for name in given if name not in found]:
+    path = find_input(demo, given)
+    entry, data = _entry(Path(path)) or {}, read(path)
+    print(f"{Path(path).name}, {entry.get('what', 'your own')}")
+    if "rate" in asked and len(list(islice(data, 2))) < 2:
+        raise ValueError(f"a film must hold two frames or more, got one in {path}")
+    found: dict[str, tuple[Any, str]] = dict.fromkeys(asked, (None, "not known"))
+    sources = (
+        ("the file", _file_scales(data, timed="rate" in asked)),
+        ("the demo", entry.get("settings", {})),
+    )
+    for source, known in (*sources, ("given", asked)):
+        found |= {name: (known[name], source) for name in asked if known.get(name) is not None}
+    scales: dict[str, Any] = {name: value for name, (value, _) in found.items()}
+    unknown = [name for name, value in scales.items() if value is None]
+    if missing := [name for name in unknown if name in needed]:
         need = " ".join(f"-p {name} VALUE" for name in missing)
         raise ValueError(
             f"{', '.join(missing)} must be given for {path}, which does not contain "
             f"{'it' if len(missing) == 1 else 'them'}: {need}"
         )
-    values, sources = ({name: found[name][k] for name in given} for k in (0, 1))
-    table = pd.DataFrame({"value": values, "from": sources}).rename_axis("scale")
-    return values, table
+    for name in scales.keys() & PHYSICAL_RANGES.keys() - set(unknown):
+        as_physical(name, scales[name], signed=name == "spacing")
+    for name in UNKNOWN.keys() & unknown:
+        print(f"Note: {name} is neither given nor in the file, so {UNKNOWN[name]}.")
+    if (scales.get("spacing") or 0) < 0:
+        print("Note: spacing is negative, so each frame is focused lower than the one before.")
+    if found.get("spacing", ("", ""))[1] == "not known":
+        scales["spacing"] = "frame"  # as `depth_from_focus` calls it
+    for name in scales.keys() & {"spacing", "rate"}:
+        if found[name][1] == "the file":
+            scales[name] = None  # each frame of the file has its own position or time
+    rows = {
+        name: (value, UNITS.get(name, ""), source)
+        for name, (value, source) in found.items()
+        if value is not None
+    }
+    columns = ["value", "unit", "from"]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("scale")
+    return Input(path, data, scales, table)
 
 
-def describe(path: str | PathLike[str]) -> str:
-    """
-    Say in a line what an input is.
-
-    Parameters
-    ----------
-    path : path-like
-        File or pattern, from `find_input`.
-
-    Returns
-    -------
-    str
-        Its name with what the manifest says of it, if it is one of ``data``.
-
-    Examples
-    --------
-    >>> describe("mine.tif")
-    'mine.tif, your own'
-    """
-    entry = _entry(Path(path))
-    return f"{Path(path).name}, {entry['what'] if entry else 'your own'}"
+def _file_scales(data: Any, *, timed: bool) -> dict[str, float | None]:
+    """Return the scales that a file contains, by the names that the guides give them."""
+    positions, time = getattr(data, "positions", None), data.time(1) if timed else None
+    return {
+        "pixel_size": getattr(data, "pixel_size", None),
+        "spacing": None if positions is None else float(np.diff(positions).mean()),
+        "rate": 1 / time if time else None,
+    }
 
 
 def compare(
-    path: str | PathLike[str],
-    settings: Mapping[str, ArrayLike],
-    found: Mapping[str, ArrayLike],
-    allowed: Mapping[str, float],
+    mine: Input, found: Mapping[str, ArrayLike], allowed: Mapping[str, float]
 ) -> pd.DataFrame:
     """
     Hold results against the truth of an input of ``data/synthetic``; of other files none is known.
 
     Parameters
     ----------
-    path : path-like
-        The input, from `find_input`.
-    settings : mapping of str to array_like
-        The guide's parameters that the truth depends on. With other values than the manifest's
-        nothing is compared.
+    mine : Input
+        The input. If its scales are not those of the manifest, nothing is compared.
     found : mapping of str to array_like
         The results, a number or an array each, by the names that the truth has; NaN is unknown.
     allowed : mapping of str to float
@@ -217,12 +252,13 @@ def compare(
 
     Examples
     --------
-    >>> compare("mine.csv", {}, {"modulus_MPa": 1.25}, {"modulus_MPa": 0.1})
+    >>> mine = Input("mine.csv", None, {}, pd.DataFrame())
+    >>> compare(mine, {"modulus_MPa": 1.25}, {"modulus_MPa": 0.1})
     The true values of mine.csv are not known, so nothing is compared.
                  values  found
     modulus_MPa       1   1.25
     """
-    file = Path(path)
+    file = Path(mine.path)
     results = {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
     results = {name: np.where(np.isfinite(each), each, np.nan) for name, each in results.items()}
     columns = {name: pd.Series(values.ravel()) for name, values in results.items()}
@@ -233,12 +269,15 @@ def compare(
         print(f"The true values of {file.name} are not known, so nothing is compared.")
         return table
     for name, value in entry["settings"].items():
-        if name in settings and not np.allclose(settings[name], value, rtol=1e-9):
+        if name in mine.scales and not np.allclose(mine.scales[name], value, rtol=1e-9):
             print(
                 f"The true values of {file.name} hold for {name} = {value}, so nothing is compared."
             )
             return table
     truth = _truth(entry)
+    if any(value.shape not in ((), truth[name].shape) for name, value in results.items()):
+        print(f"The true values of {file.name} hold for all of it, so nothing is compared.")
+        return table
     if set(results) != set(truth):
         raise ValueError(f"found must have the names {sorted(truth)}, got {sorted(results)}")
     table["true value"] = [np.nanmean(truth[name]) for name in results]
@@ -252,6 +291,15 @@ def compare(
                 f"at most {row['allowed']:.4g} is allowed"
             )
     return table
+
+
+def rounded(table: pd.DataFrame) -> Any:
+    """Return a table that shows four digits of its numbers."""
+
+    def text(one: Any) -> str:
+        return f"{one:.{4 if abs(one) < 1e4 else 7}g}" if isinstance(one, float) else str(one)
+
+    return table.style.format(text)
 
 
 def modulus_of(path: Path, *, force: float, **settings: Any) -> ImageEstimate:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from string import ascii_lowercase
 from typing import Any
 
@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import FancyBboxPatch
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from compendium.figures.style import COLORS
@@ -81,3 +82,18 @@ def images(
     if unit:
         figure.colorbar(drawn, ax=grid, label=unit)
     return figure, grid
+
+
+def prices(found: Mapping[str, tuple[Sequence[float], Sequence[float]]], label: str) -> Figure:
+    """Show what each choice costs: a panel for each, with its axis, on a common vertical one."""
+    figure, row = plt.subplots(1, len(found), figsize=(6.4, 3.2), sharey=True)
+    for axes, (axis, (choices, errors)) in zip(row, found.items(), strict=True):
+        axes.loglog(choices, errors, "o-", color=COLORS["blue"])
+        axes.set_xlabel(axis.replace(" (", "\n("))
+        axes.set_xticks(choices, [f"{one:g}" for one in choices])
+        axes.minorticks_off()
+    row[0].set_ylabel(label)
+    row[0].yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    row[0].yaxis.set_major_formatter("{x:g}")
+    letter(row)
+    return figure

@@ -1,54 +1,89 @@
 """Inputs are found from any folder, and a result that is not the truth is not let pass."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 
-from compendium.guides import FOLDER, compare, find_input, manifest, out_folder, resolve_scales
+from compendium.guides import FOLDER, Input, compare, find_input, manifest, open_input, out_folder
+from microlib.io import read_frames, read_grey
 
 EMBRYO = find_input("embryo.png")
 SETTINGS = manifest()["embryo.png"]["settings"]
 TRUTH = manifest()["embryo.png"]["truth"]
+MINE = Input(EMBRYO, None, SETTINGS, pd.DataFrame())
 ALLOWED = {"modulus_MPa": 0.05, "rim_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])
 def test_compare_accepts_truth_and_names_wrong_result(wrong):
-    assert (compare(EMBRYO, SETTINGS, TRUTH, ALLOWED)["error"] == 0).all()
+    assert (compare(MINE, TRUTH, ALLOWED)["error"] == 0).all()
     with pytest.raises(AssertionError, match=r"embryo\.png: modulus_MPa is .* off the truth"):
-        compare(EMBRYO, SETTINGS, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
+        compare(MINE, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
 
 
 def test_compare_checks_arrays_against_truth_file():
     path = FOLDER / "frames.tif"
-    settings = manifest()["frames.tif"]["settings"]
+    film = Input(str(path), None, manifest()["frames.tif"]["settings"], pd.DataFrame())
     true = pd.read_csv(FOLDER / "frames_path.csv")
     allowed = {"x_px": 0.05, "y_px": 0.05, "lost_frames": 0.0}
     x = true["x_px"].to_numpy().copy()
     x[7] += 5.0  # one place of forty
     found = {"x_px": x, "y_px": true["y_px"], "lost_frames": 0}
-    assert compare(path, settings, found, allowed).loc["x_px", "values"] == len(true)
+    assert compare(film, found, allowed).loc["x_px", "values"] == len(true)
     for wrong in (x[::-1], x + 0.06, np.full_like(x, np.nan)):
         with pytest.raises(AssertionError, match="x_px"):
-            compare(path, settings, found | {"x_px": wrong}, allowed)
+            compare(film, found | {"x_px": wrong}, allowed)
+    assert "true value" not in compare(film, found | {"x_px": x[:9]}, allowed)  # a part of it
 
 
 def test_truth_and_scales_are_those_of_the_demo_alone(tmp_path, capsys):
     """With another force, and for another file of the same name, nothing is compared or filled."""
     wrong = dict.fromkeys(TRUTH, -1.0)
-    assert "true value" not in compare(EMBRYO, SETTINGS | {"force": 113.76}, wrong, ALLOWED)
+    other = replace(MINE, scales=SETTINGS | {"force": 113.76})
+    assert "true value" not in compare(other, wrong, ALLOWED)
     assert "embryo.png hold for force = 113.75" in capsys.readouterr().out
     mine = tmp_path / "embryo.png"
     mine.write_bytes(Path(EMBRYO).read_bytes())
-    assert "true value" not in compare(mine, SETTINGS, wrong, ALLOWED)
-    assert resolve_scales(EMBRYO, dict.fromkeys(SETTINGS))[0] == SETTINGS
+    assert "true value" not in compare(replace(MINE, path=str(mine)), wrong, ALLOWED)
+    unknown = dict.fromkeys(SETTINGS)
+    assert open_input("embryo.png", "", read_grey, **unknown).scales == SETTINGS
     asked = r"force, pixel_size, .* given for .*: -p force VALUE -p pixel_size"
     with pytest.raises(ValueError, match=asked):
-        resolve_scales(mine, dict.fromkeys(SETTINGS))
-    given, in_file = SETTINGS | {"pixel_size": None}, {"pixel_size": 2.0, "force": 9.0}
-    assert resolve_scales(mine, given, in_file)[0] == SETTINGS | {"pixel_size": 2.0}
+        open_input("embryo.png", str(mine), read_grey, SETTINGS, **unknown)
+
+
+def test_scales_are_those_given_or_of_the_file_or_not_known(tmp_path, capsys):
+    path = tmp_path / "mine.tif"
+    frames = np.zeros((4, 8, 9), np.uint8)
+    of_file = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 7.0}
+    tifffile.imwrite(path, frames, photometric="minisblack", metadata=of_file, ome=True)
+    names = ("focal_stack.tif", str(path), read_frames)
+    mine = open_input(*names, spacing=None, pixel_size=None)
+    # Its positions may be uneven, so that they are left to what reads them.
+    assert mine.scales == {"spacing": None, "pixel_size": 2.0}
+    assert mine.table["value"].to_dict() == {"spacing": 7.0, "pixel_size": 2.0}
+    assert mine.table["unit"].tolist() == ["µm", "µm/px"]
+    mine = open_input(*names, spacing=-5.0, pixel_size=3.0)
+    assert mine.scales == {"spacing": -5.0, "pixel_size": 3.0}
+    assert "focused lower" in capsys.readouterr().out
+    tifffile.imwrite(path, frames, photometric="minisblack")
+    assert open_input(*names, spacing=None, pixel_size=None).scales["spacing"] == "frame"
+    assert "heights are in frames" in (printed := capsys.readouterr().out)
+    assert "lengths are in px" in printed
+    assert "µm" not in printed
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "advice"),
+    [("spacing", 0.0025, "2.5e-03|0.0025mm"), ("pixel_size", 5e4, "nm")],
+)
+def test_scale_that_no_microscope_has_is_refused(name, value, advice):
+    with pytest.raises(ValueError, match=f"{name} must be between .* did you mean .*({advice})"):
+        open_input("focal_stack.tif", "", read_frames, **{name: value})
 
 
 def test_folder_with_files_is_refused_unless_it_holds_the_table_of_a_stopped_run(tmp_path):

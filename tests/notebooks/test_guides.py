@@ -14,7 +14,8 @@ import pytest
 import tifffile
 
 from compendium import run
-from compendium.guides import FOLDER, manifest
+from compendium.figures import use_style
+from compendium.guides import FOLDER, Input, manifest
 from compendium.parameters import read_values
 from microlib.synthetic import mixed_texture
 
@@ -23,13 +24,13 @@ ROOT = Path(__file__).resolve().parents[2]
 GUIDES = {
     "calibration": ("photograph", "chessboard"),
     "embryo": ("photograph", "embryo.png"),
-    "focus_stack": ("stack", "board"),
+    "focus_stack": ("stack", "focal_stack.tif"),
     "modulus": ("outline", "outline.csv"),
     "tracking": ("frames", "beads"),
 }
 #: Rendered inputs, whose truth is known, for those whose own input is real.
 RENDERED = {
-    "calibration": "circles.png", "focus_stack": "focal_stack.tif", "tracking": "frames.tif"
+    "calibration": "circles.png", "tracking": "frames.tif"
 }  # fmt: skip
 # Those that take no file of data: they steer a microscope, by default a simulated one.
 WITHOUT_INPUT = ("servoing",)
@@ -48,6 +49,12 @@ LEAVES = {
     "tracking": {"track.csv", "look.png"},
     "servoing": {"log.csv", "jacobian.csv", "run.png"},
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _style() -> None:
+    """Set the style of the figures before a guide does it."""
+    use_style()
 
 
 def source(guide: str) -> nbformat.NotebookNode:
@@ -93,13 +100,40 @@ def copy_input(guide: str, mine: Path) -> dict[str, object]:
     return scales
 
 
+#: Scales without which there is no result.
+NEEDED = {
+    "calibration": {"pitch"},
+    "embryo": {"force", "pixel_size", "thickness", "probe_half_width"},
+    "focus_stack": set(),
+    "modulus": {"force", "pixel_size", "thickness", "probe_half_width"},
+    "tracking": {"box"},
+}
+
+
+def assert_without_scale(folder: Path, printed: str) -> None:
+    """No text that the guide prints, and no file that it writes, names a unit of length."""
+    assert "heights are in frames" in printed
+    text = [line for line in printed.splitlines() if "svg" not in line]
+    assert not [line for line in text if "µm" in line]
+    assert not list(folder.glob("surface.*"))
+    for path in folder.glob("*.ome.tif"):
+        with tifffile.TiffFile(path) as file:
+            about = file.ome_metadata or ""
+        assert "PhysicalSizeX=" not in about, path.name
+        assert not re.search("in um|µm", about), path.name
+    assert "µm" not in (folder / "regions.csv").read_text()
+
+
 @pytest.mark.parametrize("guide", GUIDES)
-def test_guide_asks_for_the_scales_of_own_file(tmp_path, monkeypatch, guide):
+def test_guide_asks_for_the_scales_of_own_file(tmp_path, monkeypatch, capsys, guide):
     parameter, name = GUIDES[guide]
     mine = f"mine{Path(RENDERED.get(guide, name)).suffix}"
-    # Without the last two a calibration has its lengths in px.
-    needed = set(copy_input(guide, tmp_path / mine)) - {"start", "pixel_pitch", "focal_length"}
+    needed = set(copy_input(guide, tmp_path / mine)) & NEEDED[guide]
     monkeypatch.chdir(tmp_path)
+    if not needed:
+        run_here(guide, **{parameter: mine})
+        assert_without_scale(tmp_path / "kept", capsys.readouterr().out)
+        return
     with pytest.raises(ValueError, match="must be given for mine") as asked:
         run_here(guide, **{parameter: mine})
     assert set(str(asked.value).partition(" must be given")[0].split(", ")) == needed
@@ -142,12 +176,10 @@ def test_folder_recipe_writes_one_row_per_file(tmp_path, capsys, guide, executor
     (recipe,) = [one.source for one in source(guide).cells if one.id == cell]
     assert len(recipe.splitlines()) <= 20
     settings = dict(manifest()[name]["settings"])
-    names: dict[str, object] = {"scales": settings, "options": {"reduce": 4}, "size": 3.9 * 4}
-    if guide == "focus_stack":
-        count = len(tifffile.imread(FOLDER / name))
-        names["positions"] = settings["start"] + settings["spacing"] * np.arange(count)
+    names: dict[str, object] = {"mine": Input("", None, settings, pd.DataFrame())}
     for text in code(guide)[:2]:
         exec(text, names)
+    names |= {"options": {"reduce": 4, "spacing": 25.0}, "known_size": 3.9, "size": 3.9 * 4}
     names |= {"folder": tmp_path, "more": f"plate/*{Path(name).suffix}"}
     plate = tmp_path / "plate"
     plate.mkdir()
@@ -176,7 +208,8 @@ def printed_commands() -> list[tuple[str, list[str]]]:
     """Return the arguments of each command that a guide prints."""
     found = []
     for guide in EVERY:
-        for block in re.findall(r"```sh\n(.*?)```", source(guide).cells[0].source, flags=re.S):
+        text = "".join(cell.source for cell in source(guide).cells if cell.cell_type == "markdown")
+        for block in re.findall(r"```sh\n(.*?)```", text, flags=re.S):
             words = shlex.split(block.replace("\\\n", ""))
             found.append((guide, words[words.index("compendium.run") + 1 :]))
     return found
