@@ -440,7 +440,7 @@ def claims() -> Mapping[str, Claim]:
     >>> claims()["table-5.6/E"].printed
     '1.3237'
     """
-    entries, result = _read("claims.toml"), {}
+    entries, result = read_toml("claims.toml"), {}
     for id, entry in entries.items():
         # Claims that are like an earlier one state what differs.
         fields = entries[entry["like"]] | entry if "like" in entry else dict(entry)
@@ -455,7 +455,7 @@ def claims() -> Mapping[str, Claim]:
 @cache
 def settings() -> Mapping[str, Setting]:
     """Read all settings, by id, in the order of the thesis."""
-    return {id: _make(Setting, id, entry) for id, entry in _read("settings.toml").items()}
+    return {id: _make(Setting, id, entry) for id, entry in read_toml("settings.toml").items()}
 
 
 def _make(kind: type[Any], id: str, fields: Mapping[str, Any]) -> Any:
@@ -493,7 +493,7 @@ def errata() -> Mapping[str, Mapping[str, str]]:
     >>> errata()["table-5.6-zeta"]["printed"]
     '“ζ (c/a) 44.78”'
     """
-    return _read("errata.toml")
+    return read_toml("errata.toml")
 
 
 def causes() -> Mapping[str, Mapping[str, str]]:
@@ -505,7 +505,7 @@ def causes() -> Mapping[str, Mapping[str, str]]:
     >>> causes()["probe-ratio"]["title"]
     'The printed ratio ζ is a number of another table'
     """
-    return _read("causes.toml")
+    return read_toml("causes.toml")
 
 
 def part_of(entry: Entry) -> str:
@@ -517,8 +517,15 @@ def part_of(entry: Entry) -> str:
     >>> part_of(claim("table-5.6/E"))
     '5.6 Stiffness of the embryo'
     """
-    parts = _read("parts.toml").items()
+    parts = read_toml("parts.toml").items()
     return next(part for part, starts in parts if entry.id.startswith(tuple(starts)))
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a JSON file at once, so that no reader sees a part of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    replace_file(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
 @dataclass
@@ -539,12 +546,8 @@ class _Session:
         return record
 
     def write(self) -> None:
-        if self.path is None:
-            return
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        records = [asdict(record) for record in self.records.values()]
-        text = json.dumps(records, indent=1, ensure_ascii=False) + "\n"
-        replace_file(self.path, lambda file: file.write_text(text, encoding="utf-8"))
+        if self.path is not None:
+            write_json(self.path, [asdict(record) for record in self.records.values()])
 
 
 _session = _Session()
@@ -655,7 +658,7 @@ def check_equation(
     >>> modulus = elastic_modulus(100.0, 250.0, 10.0, **membrane)
     >>> check_equation("4.7", 100.0, indentation_force(modulus, 250.0, 10.0, **membrane))
     """
-    if f"equation-{number}" not in _read("map.toml"):
+    if f"equation-{number}" not in read_toml("map.toml"):
         raise ValueError(f"number must be that of an equation of the thesis, got {number!r}")
     printed, found = np.asarray(formula, float), np.asarray(library, float)
     if not printed.size or not np.isfinite(printed).all():
@@ -771,9 +774,6 @@ def scorecard(folder: str | os.PathLike[str]) -> pd.DataFrame:
 
 
 @cache
-def _read(name: str) -> dict:
-    path = _THESIS / name
-    if not path.exists():
-        raise ValueError(f"{name} must lie in data/thesis beside the package; run from a checkout")
-    with path.open("rb") as file:
-        return tomllib.load(file)
+def read_toml(name: str) -> dict:
+    """Read a file of ``data/thesis``."""
+    return tomllib.loads((_THESIS / name).read_text(encoding="utf-8"))

@@ -39,8 +39,8 @@ from typing import Any, NoReturn
 from compendium import ROOT
 from compendium.execution import execute, interrupt_kernels, interrupted, one_line
 from compendium.figures.data import FOLDER_VARIABLE
+from compendium.ledger import write_json
 from compendium.parameters import prepare_folder, read_values
-from microlib._common import replace_file
 
 BUILD = ROOT / "build"
 #: What is locked: for the book, for its optional pages, for tests, and for JupyterLab.
@@ -275,11 +275,6 @@ def count_checks(notebook: Path) -> int:
     names = [getattr(func, "id", getattr(func, "attr", "")) for func in calls]
     compared = sum(name in ("check_equation", "compare") for name in names)
     return compared + sum(isinstance(node, ast.Assert) for node in nodes)
-
-
-def write_json(path: Path, content: object) -> None:
-    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-    replace_file(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
 def read_status(name: str) -> dict:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from html import escape
-from pathlib import Path
 
 from docutils.nodes import make_id  # type: ignore[import-untyped]
 from IPython.display import HTML
 
 from compendium import ledger
-
-_LAYOUTS = Path(__file__).resolve().parent.parent / "data" / "thesis" / "tables.toml"
 
 
 def as_printed(name: str) -> HTML:
@@ -33,11 +29,9 @@ def as_printed(name: str) -> HTML:
     Raises
     ------
     ValueError
-        If the thesis has no such table, or a number that can be compared was not checked.
+        If a number that can be compared was not checked.
     """
-    layouts = tomllib.loads(_LAYOUTS.read_text(encoding="utf-8"))
-    if name not in layouts:
-        raise ValueError(f"name must be one of {', '.join(layouts)}, got {name!r}")
+    layouts = ledger.read_toml("tables.toml")
     layout, found = layouts[name], ledger.summary(f"{name}/")["recomputed"]
     rows, claims = "", []
     for row in layout["rows"]:

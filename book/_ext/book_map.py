@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -89,8 +88,7 @@ class Item:
 
 @cache
 def read_map() -> dict[str, Item]:
-    with (ROOT / "data" / "thesis" / "map.toml").open("rb") as file:
-        return {name: Item(id=name, **entry) for name, entry in tomllib.load(file).items()}
+    return {name: Item(id=name, **entry) for name, entry in ledger.read_toml("map.toml").items()}
 
 
 @cache

@@ -77,11 +77,6 @@ def cramer_rao_bound(
     return np.where((abs(rows[lost]) > 1e-6).any(axis=0), np.inf, bound)
 
 
-def tilted(scope: Microscope, degrees: float) -> Microscope:
-    """Return the microscope with a pattern that is tilted by so much, about both its axes."""
-    return replace(scope, beta=np.deg2rad(0.8 * degrees), gamma=np.deg2rad(0.6 * degrees))
-
-
 def focal_length_study(
     scope: Microscope, noise: float, runs: int, rng: np.random.Generator
 ) -> pd.DataFrame:
@@ -110,7 +105,9 @@ def focal_length_study(
     known: dict[str, Any] = {"pixel_pitch": scope.pixel_pitch, "image_size": scope.image_size}
     rows = []
     for degrees in TILTS:
-        posed = tilted(scope, degrees)
+        # About both axes of the pattern.
+        tilt = {"beta": np.deg2rad(0.8 * degrees), "gamma": np.deg2rad(0.6 * degrees)}
+        posed = replace(scope, **tilt)
         world = grid_in_view(posed)
         images = posed.project(world) + rng.normal(
             0, noise, (runs if degrees else PARALLEL_RUNS, len(world), 2)

@@ -31,7 +31,6 @@ from microlib.membrane import (
     indent_capsule,
     indent_disc,
     indentation_force,
-    steepest_depth,
 )
 
 #: Flat discs with a clamped rim. Their pressure is F/(π a²), as in the thesis, unless it is given.
@@ -77,12 +76,6 @@ def modulus_ratios(disc: str, depths: Sequence[float] | NDArray) -> pd.Series:
         with warnings.catch_warnings(action="ignore", category=SmallSlopeWarning):
             ratios[depth] = modulus / thesis.modulus(a, depth * a)
     return pd.Series(ratios)
-
-
-def deepest_uniform() -> float:
-    """Return the largest w_d/a of a uniform stress with exact slopes, over all widths c/a."""
-    ratios = np.linspace(0.01, 0.99, 197)
-    return max(steepest_depth(1.0, probe_half_width=ratio) for ratio in ratios)
 
 
 def shallow_disc(pressure: float | str = "balance", **other: float) -> tuple[float, float]:

@@ -168,9 +168,9 @@ def test_check_refuses_wrong_numbers(id, value, options, message):
     ],
 )
 def test_wrong_entry_fails(monkeypatch, change, message):
-    entries = dict(ledger._read("claims.toml"))
+    entries = dict(ledger.read_toml("claims.toml"))
     entries["table-5.6/w_d"] = entries["table-5.6/w_d"] | change
-    monkeypatch.setattr(ledger, "_read", lambda name: entries)
+    monkeypatch.setattr(ledger, "read_toml", lambda name: entries)
     if message:
         with pytest.raises(ValueError, match=message):
             ledger.claims.__wrapped__()
