@@ -16,6 +16,8 @@ from microlib.microscope import Microscope, undistort
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Deviation, px, of five distortion coefficients of OpenCV above which eight are fitted.
+_FEW_TERMS_ERROR = 0.1
 #: Fields with numbers that may be infinite or NaN, which JSON can hold as texts only.
 _NUMBERS = (
     *("covariance", "residuals", "plane_residuals", "lack_of_fit", "p_value", "widening"),
@@ -252,9 +254,9 @@ class Calibration(Result):
     def to_json(self) -> str:
         """Return the calibration as JSON for `from_json` and for other programs.
 
-        * ``opencv``: camera matrix and five distortion coefficients as ``cv2.undistort`` takes
-          them; their largest deviation from this model in the image, which is some pixels for a
-          wide-angle lens; and rotation and translation of each view. A given focal length
+        * ``opencv``: camera matrix and distortion coefficients as ``cv2.undistort`` takes them,
+          five or, if those deviate by 0.1 px from this model, eight; their largest deviation from
+          this model in the image; and rotation and translation of each view. A given focal length
           makes T_op + f differ between views of different magnification; the camera matrix is that
           of the first view, and the translations are those for this matrix. What the points do not
           determine is null: the rotation of a view whose tilt is undetermined, and without the
@@ -357,7 +359,7 @@ def _opencv_distortion(scope: Microscope) -> tuple[list[float], float]:
 
     OpenCV's polynomial leads from undistorted to distorted points, with the radius in principal
     distances. The polynomial of this model is its inverse, which bends too much for OpenCV's at a
-    wide angle.
+    wide angle: then k₄, k₅ and k₆ follow, those of OpenCV's quotient of two polynomials.
     """
     distance = scope.tube_length + scope.focal_length
     ends = np.array([[-0.5, -0.5], np.array(scope.image_size) - 0.5]) - scope.principal_point
@@ -368,8 +370,15 @@ def _opencv_distortion(scope: Microscope) -> tuple[list[float], float]:
     reached = np.isfinite(radius)  # up to the fold of the distortion
     seen, radius = seen[reached], radius[reached]
     powers = 2 * np.arange(1, 4)
-    design = radius[:, None] * (radius[:, None] / corner) ** powers
-    terms = np.linalg.lstsq(design, seen - radius, rcond=None)[0]
-    worst = np.abs(radius + design @ terms - seen).max() / scope.pitch.min()
-    k1, k2, k3 = (terms * (distance / corner) ** powers).tolist()
-    return [k1, k2, 0.0, 0.0, k3], float(worst)
+    even = (radius[:, None] / corner) ** powers
+    design = np.hstack([radius[:, None] * even, -seen[:, None] * even])
+    fits = []
+    for count in (3, 6):
+        best = np.zeros(6)
+        best[:count] = np.linalg.lstsq(design[:, :count], seen - radius, rcond=None)[0]
+        divisor = 1 + even @ best[3:]
+        error = np.abs(radius * (1 + even @ best[:3]) / divisor - seen).max() / scope.pitch.min()
+        fits.append((float(error) if (divisor > 0).all() else np.inf, count, best))
+    worst, count, best = fits[0] if fits[0][0] < _FEW_TERMS_ERROR else min(fits)
+    k1, k2, k3, *more = (best[:count] * (distance / corner) ** np.resize(powers, count)).tolist()
+    return [k1, k2, 0.0, 0.0, k3, *more], worst
