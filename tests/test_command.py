@@ -321,7 +321,8 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
 
 
 def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
-    gaps = {"10x": 15.7, "20x": 31.1, "40x, dry": 62.9}
+    """Also one whose photograph shows coarser divisions than the name says, and one of nothing."""
+    gaps = {"10x": 15.7, "20x": 31.1, "40x, dry": 62.9, "63x": 15.7}
     for name, gap in gaps.items():
         places = gap * np.arange(np.ceil(-120 / gap), 121 / gap)
         cv2.imwrite(str(tmp_path / f"{name}.png"), ruled(places, 60.0, gap / 5))
@@ -330,16 +331,27 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
     assert status(line, tmp_path / "out", "") == 0
     printed = capsys.readouterr()
     assert f"left out {tmp_path}/blank.png: image must show a scale" in printed.err
+    assert re.search(r"note: 63x: its pixel size is 6.\d+ times .* other divisions\?", printed.err)
     table = pd.read_csv(tmp_path / "out" / "objectives.csv", index_col="objective")
-    assert [*table.index] == [*gaps]
+    names = [name.replace(",", "_") for name in gaps]
+    assert [*table.index] == names
     assert {*table.unit} == {"µm/px"}
     true = 10.0 / np.array([*gaps.values()])
     assert ((table.low < true) & (true < table.high)).all()
     np.testing.assert_allclose(table.value, true, rtol=1e-3)
-    for name, value in zip(gaps, table.value, strict=True):
+    for name, value in zip(names, table.value, strict=True):
         shown = re.search(rf"^{name}: (\S+) µm/px", printed.out, flags=re.M)[1]
         assert float(shown) == pytest.approx(value, rel=1e-4)
     assert [len(ax.lines[0].get_xdata()) for ax in figures[0].axes] == [*table.lines]
+    macro = (tmp_path / "out" / "imagej.ijm").read_text()
+    assert f"names = newArray({', '.join(map(json.dumps, names))});" in macro
+    sizes = re.search(r"sizes = newArray\((.*)\)", macro)[1].replace('"', "").split(", ")
+    np.testing.assert_allclose(np.array(sizes, float), table.value, rtol=1e-6)
+    core = pytest.importorskip("pymmcore_plus").CMMCorePlus()
+    core.loadSystemConfiguration(tmp_path / "out" / "micromanager.txt")
+    found = [core.getPixelSizeUmByID(name) for name in core.getAvailablePixelSizeConfigs()]
+    np.testing.assert_allclose(found, table.value, rtol=1e-6)
+    assert "Label: 10x" in str(core.getPixelSizeConfigData("10x"))
 
 
 @pytest.mark.parametrize(
@@ -484,6 +496,7 @@ def test_track_takes_the_times_of_the_film_unless_a_rate_is_given(tmp_path, caps
     assert status(f"{line} --rate 500 --overwrite", out) == 0
     printed = capsys.readouterr()
     assert "rate 500 frames/s (given)" in printed.out
+    assert printed.err == f"note: the file has {9 / true[-1]:.4g} frames/s: --rate 500 is used\n"
     np.testing.assert_allclose(pd.read_csv(out)["time_s"], np.arange(10) / 500)
 
 

@@ -19,7 +19,7 @@ from microlib._command._session import End, Session, picture, rounded, text
 from microlib._common import PHYSICAL_RANGES
 
 #: Names of the files that it writes.
-FILES = ("camera.csv", "camera.json", "points.csv", "look.png", _objectives.FILE)
+FILES = ("camera.csv", "camera.json", "points.csv", "look.png", *_objectives.FILES)
 #: Grey levels and the detected pattern of each photograph.
 Views = dict[Path, tuple[NDArray, Any]]
 

@@ -80,8 +80,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
         except (OSError, ValueError, KeyboardInterrupt) as error:
             stop = error
     track = pd.DataFrame(rows)
-    last = frames.time(len(rows) - 1)
-    rate = a.rate or ((len(rows) - 1) / last if last else 25)
+    rate, last = a.rate or 25, frames.time(len(rows) - 1)
+    if last:
+        from_file = (len(rows) - 1) / last
+        if a.rate is None:
+            rate = from_file
+        elif abs(from_file / rate - 1) > 0.01:
+            session.note(f"the file has {from_file:.4g} frames/s: --rate {rate:g} is used")
     session.write("look.png", picture(lambda: tracking.plot_track(track, next(iter(frames)))))
     if a.video:
         session.write("look.mp4", partial(_write_film, frames, track, rate))

@@ -84,11 +84,26 @@ def _ome_scale(pixels: Any, name: str, count: int, choice: Choice) -> Scale:
     sizes = [f"PhysicalSize{axis}" for axis in "XYZ"]
     x, y, step = (_converted(pixels.get(key), pixels.get(f"{key}Unit", "µm")) for key in sizes)
     planes = _ome_planes(pixels, choice.get("axis", "Z"), choice)
-    # Positions without a unit of length, which are in one of the microscope's own, are NaN here.
-    z = np.array([_converted(p.get("PositionZ"), p.get("PositionZUnit")) for p in planes])
-    gaps = np.diff(z)
-    rises = len(z) == count > 1 and ((gaps > 0).all() or (gaps < 0).all())
-    return _square(x, y, name), z if rises else _even_positions(step, count)
+    # Positions without a unit of length are in one of the microscope's own.
+    named = all(str(p.get("PositionZUnit")) in MICROMETERS for p in planes)
+    z = np.array(
+        [_converted(p.get("PositionZ"), p["PositionZUnit"] if named else "µm") for p in planes]
+    )
+    size, even = _square(x, y, name), _even_positions(step, count)
+    if not len(z) == count > 1 or not np.isfinite(z).all():
+        return size, even
+    gaps, unit = np.diff(z), "µm" if named else "(no unit)"
+    apart, rises = abs(gaps.mean()), (gaps > 0).all() or (gaps < 0).all()
+    placed = f"planes {apart:g} {unit} apart"
+    if not rises:
+        k = np.argmin(gaps * (np.sign(gaps.sum()) or 1))
+        placed = f"planes that do not all rise or fall, as {z[k]:g} and {z[k + 1]:g} {unit}"
+    used = "former" if named and rises else "latter"
+    if even is not None and (abs(apart - step) > 0.1 * step or not rises):
+        warnings.warn(
+            f"{name} has {placed}, and a spacing of {step:g} µm: the {used} is used", stacklevel=2
+        )
+    return size, z if used == "former" else even
 
 
 def _as_list(value: Any) -> list[Any]:

@@ -110,9 +110,10 @@ def read_frames(
     -----
     UserWarning
         If the names of files differ in more than numbers, in several numbers of which none counts
-        the files, or in one number that is not evenly spaced; if pixels are not square; if
-        photographs have several orientations; if three or four images that `tifffile` wrote are
-        marked as the colors of one; if results of this library in a folder are left out.
+        the files, or in one number that is not evenly spaced; if pixels are not square, or
+        positions and spacing in the metadata disagree; if photographs have several orientations; if
+        three or four images that `tifffile` wrote are marked as the colors of one; if results of
+        this library in a folder are left out.
 
     Examples
     --------

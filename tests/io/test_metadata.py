@@ -1,6 +1,7 @@
 """Pixel sizes and positions in metadata, in each unit; None where a value is unusable."""
 
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -99,27 +100,36 @@ def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolutio
 
 
 @pytest.mark.parametrize(
-    ("positions", "unit", "spacing", "used"),
+    ("positions", "unit", "spacing", "used", "which"),
     [
-        ([5, 5.01, 5.02], None, 10, [0, 10, 20]),  # mm, but the file does not say so
-        ([5, 5.01, 5.02], "reference frame", 10, [0, 10, 20]),
-        ([0.005, 0.015, 0.025], "mm", 10, [5, 15, 25]),
-        ([5, 12, 19], "µm", 10, [5, 12, 19]),
-        ([5, -5, -15], "µm", 10, [5, -5, -15]),
-        ([0.4, 0.2, 0.1], "mm", 150, [400, 200, 100]),
-        ([5, 12, 19], "µm", None, [5, 12, 19]),
-        ([5, 12, 19], None, None, None),  # without a unit
-        *((z, "µm", 9, [0, 9, 18]) for z in ([1, 4, 2], [1, 1, 2], [7, 7, 7], [0, 9, 0])),
-        ([1, 4, 2], "µm", None, None),
-        ([1, float("nan"), 2], "µm", 9, [0, 9, 18]),
+        ([5, 5.01, 5.02], None, 10, [0, 10, 20], "latter"),  # mm, but the file does not say so
+        ([5, 5.01, 5.02], "reference frame", 10, [0, 10, 20], "latter"),
+        ([5, 15, 25], None, 10, [0, 10, 20], None),
+        ([0.005, 0.015, 0.025], "mm", 10, [5, 15, 25], None),
+        ([5, 15.3, 25.6], "µm", 10, [5, 15.3, 25.6], None),  # near the spacing
+        ([5, 12, 19], "µm", 10, [5, 12, 19], "former"),
+        ([5, -5, -15], "µm", 10, [5, -5, -15], None),
+        ([0.1, 0.2, 0.4], "mm", 150, [100, 200, 400], None),
+        ([0.4, 0.2, 0.1], "mm", 150, [400, 200, 100], None),
+        ([5, 12, 19], "µm", None, [5, 12, 19], None),
+        ([5, 12, 19], None, None, None, None),  # without a unit
+        # Positions that are not monotonic contradict any spacing, those that are missing do not.
+        *((z, "µm", 9, [0, 9, 18], "latter") for z in ([1, 4, 2], [1, 1, 2], [7, 7, 7], [0, 9, 0])),
+        ([1, 1, 1], None, 9, [0, 9, 18], "latter"),
+        ([1, 4, 2], "µm", None, None, None),
+        ([1, float("nan"), 2], "µm", 9, [0, 9, 18], None),
     ],
 )
-@pytest.mark.filterwarnings("error")
-def test_ome_positions_are_used_if_they_have_a_unit_and_rise_or_fall(
-    tmp_path, positions, unit, spacing, used
+def test_ome_positions_with_a_unit_are_used_and_disagreement_gives_a_warning(
+    tmp_path, positions, unit, spacing, used, which
 ):
     size = {"PhysicalSizeZ": spacing} if spacing else {}
-    found = read_frames(write_ome(tmp_path, **size, Plane=planes(positions, unit))).positions
+    path = write_ome(tmp_path, **size, Plane=planes(positions, unit))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = read_frames(path).positions
+    notes = [str(w.message).split(": ")[1] for w in caught]
+    assert notes == ([f"the {which} is used"] if which else [])
     assert found == (used and pytest.approx(np.array(used)))
 
 
@@ -129,6 +139,13 @@ def test_positions_belong_to_the_selected_channel_and_time(tmp_path):
     metadata = {"axes": "TZCYX", "Plane": planes(np.ravel(z).tolist(), "µm")}
     path = tiff(tmp_path / "a.ome.tif", many, metadata=metadata)
     assert read_frames(path, channel=1, time=1).positions == pytest.approx([25, 26, 28])
+
+
+def test_warning_of_positions_that_are_not_monotonic_names_them_and_the_spacing(tmp_path):
+    path = write_ome(tmp_path, PhysicalSizeZ=9, Plane=planes([40, 30, 50], "µm"))
+    message = r"not all rise or fall, as 40 and 30 µm, and a spacing of 9 µm: the latter is used"
+    with pytest.warns(UserWarning, match=message):
+        read_frames(path)
 
 
 @pytest.mark.parametrize("axis", ["C", "T"])
