@@ -111,9 +111,10 @@ def views():
     return found, replace(result, residuals=residuals), images
 
 
-def test_each_view_shows_its_marks_and_residuals(views):
+@pytest.mark.parametrize("photographs", [True, False])
+def test_each_view_shows_its_marks_and_residuals(views, photographs):
     found, result, images = views
-    axes = result.plot(found=found, images=images).axes
+    axes = result.plot(found=found, images=images if photographs else None).axes
     assert not axes[3].axison
     apart = np.sqrt(np.prod(np.ptp(found[0].points, axis=0)) / 12)
     factor = largest_round(apart / np.quantile(np.hypot(*result.residuals.T), 0.95))
@@ -131,16 +132,20 @@ def test_each_view_shows_its_marks_and_residuals(views):
         points = dict(zip(map(tuple, each.grid), each.points, strict=True))
         np.testing.assert_array_equal([text.xy for text in ax.texts], [points[*p] for p in places])
         assert 1 <= len(places) <= 9
-        hold_photograph(ax, image)
+        if photographs:
+            hold_photograph(ax, image)
+        else:
+            assert (ax.get_xlim(), ax.get_ylim(), ax.get_aspect()) == ((0, 150), (90, 0), 1)
 
 
 def test_plot_with_given_axes_or_one_image_shows_one_view(views):
     found, result, images = views
     own, ax = pyplot.subplots()
-    assert result.plot(ax, found=found, images=images) is own
+    assert result.plot(ax, found=found) is own
     assert [len(line.get_xdata()) for line in ax.lines] == [12]
     one = replace(result, views=result.views[:1], residuals=result.residuals[:12])
-    hold_photograph(one.plot(found=found[0], images=images[0]).axes[0], images[0])
+    for figure in (one.plot(found=found[0], images=images[0]), found[0].plot(image=images[0])):
+        hold_photograph(figure.axes[0], images[0])
 
 
 def test_outline_is_drawn_with_curve_and_modulus():

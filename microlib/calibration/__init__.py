@@ -7,6 +7,7 @@ from microlib.calibration._detection import Detection
 from microlib.calibration._linear import linear_intrinsics, radial_alignment
 from microlib.calibration._stage import StageAffine, stage_affine
 from microlib.calibration.detection._detect import (
+    detect_charuco,
     detect_circles,
     detect_micrometer,
     detect_pattern,
@@ -21,6 +22,7 @@ __all__ = [
     "Micrometer",
     "StageAffine",
     "calibrate",
+    "detect_charuco",
     "detect_circles",
     "detect_micrometer",
     "detect_pattern",

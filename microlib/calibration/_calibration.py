@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from microlib._common import ArgumentError, Array, Result
+from microlib.calibration._uncertainty import reciprocal_estimate
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope, undistort
 
@@ -116,7 +117,7 @@ class Calibration(Result):
         focal = self.parameters.get("focal_length", f"{scope.focal_length:.6g} µm")
         lens = f"magnification {scope.magnification:.6g}, focal length {focal}"
         if self.pixel_pitch is None:
-            lens = f"principal distance {self.parameters['principal_distance']}"
+            lens = f"principal distance {self.principal_distance}"
         tilt = f", tilt {np.rad2deg(scope.tilt):.3g}°"
         lines = [
             f"Calibration of {len(self.residuals)} points in {len(self.views)} view(s), "
@@ -201,6 +202,23 @@ class Calibration(Result):
         uncertainty = pitch * scale.uncertainty / scale.value**2
         return Estimate(pitch / scale.value, uncertainty, pitch / scale.high, high, "µm/px")
 
+    @property
+    def principal_distance(self) -> Estimate:
+        """Principal distance T_op + f along x, px: the focal length f_x of OpenCV's camera."""
+        if "principal_distance" in self.parameters:
+            return self.parameters["principal_distance"]
+        # T_op + f = f (1 + M)
+        relative = {"magnification": 1 / (1 + self.microscope.magnification)}
+        if "focal_length" in self.parameters:
+            relative["focal_length"] = 1 / self.microscope.focal_length
+        gradient = np.array([relative.get(name, 0.0) for name in self.parameters])
+        if set(relative) & set(self.undetermined):
+            return Estimate(np.nan, np.inf, 0.0, np.inf, "px")
+        used = gradient != 0
+        variance = gradient[used] @ self.covariance[np.ix_(used, used)] @ gradient[used]
+        value = float(self.microscope.principal_distance[0])
+        return reciprocal_estimate(value, float(np.sqrt(variance)), self.dof, "px")
+
     def to_frame(self) -> pd.DataFrame:
         """Return the parameters as a table.
 
@@ -217,7 +235,7 @@ class Calibration(Result):
         determined = [name not in self.undetermined for name in self.parameters]
         return pd.DataFrame(rows, index=names).assign(determined=determined)
 
-    def plot(self, ax: Any = None, *, found: Any, images: Any) -> Any:
+    def plot(self, ax: Any = None, *, found: Any, images: Any = None) -> Any:
         """Draw the points with their places in the grid and the residuals, by Matplotlib.
 
         Parameters
@@ -226,7 +244,7 @@ class Calibration(Result):
             Where to draw the first view; by default every view is a panel of a new figure.
         found : Detection or list of Detection
             What the calibration was made from.
-        images : ndarray or list of ndarray
+        images : ndarray or list of ndarray, optional
             The photographs.
 
         Returns
@@ -241,7 +259,7 @@ class Calibration(Result):
         from microlib._plots import marks
 
         several = isinstance(found, (list, tuple))
-        detections, photographs = (found, images) if several else ([found], [images])
+        detections = found if several else [found]
         points = sum(len(each.points) for each in detections)
         if (len(detections), points) != (len(self.views), len(self.residuals)):
             raise ArgumentError(
@@ -249,7 +267,8 @@ class Calibration(Result):
                 f"must hold the detections of the {len(self.views)} calibrated views with "
                 f"{len(self.residuals)} points, got {len(detections)} with {points} points",
             )
-        return marks(detections, photographs, self.residuals, ax)
+        pictures = images if several or images is None else [images]
+        return marks(detections, pictures, self.residuals, ax)
 
     def to_json(self) -> str:
         """Return the calibration as JSON for `from_json` and for other programs.

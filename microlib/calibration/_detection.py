@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,3 +77,21 @@ class Detection(Result):
         names = {"grid": "ij", "positions": "xy", "points": "xy"}
         columns = {f"{k}_{n}": v[:, i] for k, v in pairs.items() for i, n in enumerate(names[k])}
         return pd.DataFrame(columns | {"uncertainty": self.uncertainty, "group": self.group})
+
+    def plot(self, ax: Any = None, *, image: NDArray | None = None) -> Any:
+        """Draw the points, some with their grid coordinates, by Matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes of the drawing, by default in a new figure.
+        image : ndarray, optional
+            Photograph in the background.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from microlib._plots import marks
+
+        return marks([self], None if image is None else [image], None, ax)

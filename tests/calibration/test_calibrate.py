@@ -477,7 +477,9 @@ def test_estimates_do_not_depend_on_the_unit_of_lengths(seed):
             for name, one in found.parameters.items()
             if name != "focal_length"
         ]
-        results.append(each)
+        results.append([*each, found.principal_distance.value, found.principal_distance.high])
+        assert found.principal_distance.low < 575
+        assert found.principal_distance.high > 545
     np.testing.assert_allclose(results, results[:1] * len(results), rtol=1e-5, atol=1e-7)
 
 
@@ -708,7 +710,7 @@ def test_picture_needs_the_detections_of_the_calibration():
     found = calibrate(one, pitch=280, pixel_pitch=SENSOR["pixel_pitch"], focal_length=F)
     for other in ([one, one], [detection(tilted(20, 10))], []):
         with pytest.raises(ValueError, match="found must hold the detections of the 1 calibrated"):
-            found.plot(found=other, images=other)
+            found.plot(found=other)
 
 
 @pytest.mark.parametrize("pixel_pitch", [8.0, None])
@@ -773,10 +775,16 @@ def test_principal_distance_and_scale_need_no_pixel_pitch():
         assert "focal" not in repr(found)
         assert "px (95 %" in repr(found)
         known = calibrate(world, image, image_size=scope.image_size, pixel_pitch=9.9)
-        one, other = (vars(each.um_per_pixel) for each in (found, known))
-        assert one.pop("unit") == other.pop("unit")
-        np.testing.assert_allclose(list(one.values()), list(other.values()), rtol=1e-4)
-        spans = found.um_per_pixel, found.parameters["principal_distance"]
-        truth = 9.9 / M, scope.principal_distance[0]
-        inside += [span.low <= true <= span.high for span, true in zip(spans, truth, strict=True)]
+        for name in ("um_per_pixel", "principal_distance"):
+            one, other = (vars(getattr(each, name)) for each in (found, known))
+            assert one.pop("unit") == other.pop("unit")
+            np.testing.assert_allclose(list(one.values()), list(other.values()), rtol=1e-4)
+        truth = {"um_per_pixel": 9.9 / M, "principal_distance": scope.principal_distance[0]}
+        spans = {name: getattr(found, name) for name in truth}
+        inside += [spans[name].low <= truth[name] <= spans[name].high for name in truth]
     assert np.mean(inside) >= 0.88  # of 80, 95 % with a probability of a thousandth
+    # With a given focal length the principal distance follows from the magnification.
+    given = calibrate(
+        world, scope.project(world), image_size=scope.image_size, pixel_pitch=9.9, focal_length=F
+    )
+    assert given.principal_distance.value == pytest.approx(F * (1 + M) / 9.9, rel=1e-9)

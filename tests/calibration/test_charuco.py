@@ -6,14 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from microlib.calibration import Detection, detect_pattern, detect_squares
+from microlib.calibration import detect_charuco, detect_pattern, detect_squares
 from tests.scenes.calibration import photograph
 
 FIELD = 60  # px of a field of the drawn board
-
-
-def detect_charuco(image: np.ndarray) -> Detection:
-    return detect_pattern(image, "charuco")[1]
 
 
 def charuco(columns=7, rows=5, name="4X4_50", ratio=0.7, *, old=False, left=0):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -40,6 +41,12 @@ def calibrated(um: float = 1.0) -> Calibration:
     return calibrate(**seen(um))
 
 
+@cache
+def charuco() -> np.ndarray:
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard((4, 3), 3.0, 2.0, markers).generateImage((180, 140))
+
+
 #: A valid call of each function.
 CALLS = {
     calibrate: seen,
@@ -55,6 +62,7 @@ CALLS = {
         "image": PHOTOGRAPHS["circles"].copy(),
         "pattern": "circles",
     },
+    calibration.detect_charuco: lambda: {"image": charuco().copy()},
     calibration.Micrometer.um_per_pixel: lambda: {
         "self": detect_micrometer(PHOTOGRAPHS["scale"]),
         "division": 10.0,

@@ -69,6 +69,45 @@ def detect_pattern(image: ArrayLike, pattern: str = "auto") -> tuple[str, Detect
     raise ValueError("; ".join(faults))
 
 
+def detect_charuco(image: ArrayLike) -> Detection:
+    """Detect the inner corners of a ChArUco board, a chessboard with markers in its fields.
+
+    Parameters
+    ----------
+    image : array_like, shape (height, width) or (height, width, 3 or 4)
+        Grey levels of any range, or red, green and blue, which are converted to luminance. The
+        board may have any number of fields and markers of any dictionary, and may be inverted. A
+        part of the board is enough.
+
+    Returns
+    -------
+    Detection
+        `points` are the inner corners. `grid` starts at the first detected column and row.
+
+    Raises
+    ------
+    ValueError
+        If `image` is no image or shows no chessboard with markers.
+
+    Notes
+    -----
+    The corners are detected as those of a chessboard, but the image is compared with a drawn board
+    along the edges of the fields only, so that the markers have no effect. The markers are not
+    identified.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> from microlib.calibration import detect_charuco
+    >>> dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    >>> board = cv2.aruco.CharucoBoard((7, 5), 40, 30, dictionary)
+    >>> found = detect_charuco(board.generateImage((500, 400), marginSize=20))
+    >>> len(found.points)
+    24
+    """
+    return detect_pattern(image, "charuco")[1]
+
+
 def detect_circles(image: ArrayLike) -> Detection:
     """Detect the circles of a square grid; return their centers with their grid coordinates.
 
