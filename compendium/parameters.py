@@ -19,6 +19,8 @@ from compendium import ROOT
 
 #: How the comment behind a parameter states its bound: ``# µm, > 0, of the membrane``.
 _BOUND = re.compile(r"([>≥≠]) 0\b")
+#: A number with a decimal comma, which is no list.
+_COMMA = re.compile(r"^\s*-?\d+,\d+\s*$")
 
 
 def describe(notebook: str) -> pd.DataFrame:
@@ -97,7 +99,8 @@ def read_values(notebook: Path, texts: Sequence[tuple[str, str]]) -> dict[str, o
             try:
                 values[name] = _like(ast.literal_eval(text.strip()), default, sign)
             except (ValueError, SyntaxError, TypeError):
-                raise ValueError(f"{name} must be {_wanted(default, sign)}, got {text}") from None
+                got = f"got {text}" + ": write a decimal point" * bool(_COMMA.search(text))
+                raise ValueError(f"{name} must be {_wanted(default, sign)}, {got}") from None
         if name == "out":
             prepare_folder(name, Path(text))
     return values

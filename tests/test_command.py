@@ -676,7 +676,10 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
             "--pixel-pitch must be positive, got -1.25",
         ),
         *(
-            (f"{GRID} --pixel-pitch {text}", f"--pixel-pitch: invalid number in µm value: '{text}'")
+            (
+                f"{GRID} --pixel-pitch {text}",
+                f"--pixel-pitch: must have a decimal point, got {text}",
+            )
             for text in ("126,000", "1,25", "126.000,5", "1,500.0")  # a comma separates thousands
         ),
         (f"{OUTLINE} --force-uncertainty -3", "--force-uncertainty must be zero or positive"),

@@ -26,15 +26,17 @@
     const id = `try-${prefix}-${name}`;
     const text = unit ? `${label} (${unit})` : label;
     const slider = make("input", { type: "range", id, min, max, step, value });
-    // A field for numbers drops a decimal comma in silence, so that 12,5 would be 125.
+    // A field of the type number would drop a decimal comma in silence: 12,5 would be 125.
     const field = make("input", { type: "text", value, "aria-label": `${text}, exact` });
-    const read = () => (field.value.trim() ? Number(field.value.replace(",", ".")) : NaN);
+    const read = () => (field.value.trim() ? Number(field.value) : NaN);
     if (min >= 0) field.setAttribute("inputmode", "decimal");
     slider.addEventListener("input", () => {
       field.value = slider.value;
       changed();
     });
     field.addEventListener("input", () => {
+      field.setCustomValidity(field.value.includes(",") ? "Write a decimal point." : "");
+      field.reportValidity();
       slider.value = read(); // the slider stops at its ends, the field does not
       changed();
     });

@@ -52,6 +52,8 @@ def _quantity(unit: str) -> Callable[[str], float]:
     """Return a parser of numbers with or without a unit of their own, which converts to `unit`."""
 
     def read(text: str) -> float:
+        if "," in text:
+            raise argparse.ArgumentTypeError(f"must have a decimal point, got {text}")
         own = re.search(rf"\s*([nuµμmc]?){unit[1:].removesuffix('/px')}(/px)?$", text)
         number = float(text[: own.start() if own else None])
         return number * PREFIXES[own[1]] if own else number

@@ -52,6 +52,7 @@ def test_text_is_converted_to_type_of_parameter(notebook, name, text, value):
     ("name", "text", "message"),
     [
         ("spacing", "1e1x", "spacing must be a finite number ≠ 0, got 1e1x"),
+        ("spacing", "2,5", "spacing must be a finite number ≠ 0, got 2,5: write a decimal point"),
         ("spacing", "0", "spacing must be a finite number ≠ 0, got 0"),
         ("size", "0", "size must be a finite number > 0, got 0"),
         ("radius", "0", "radius must be a finite number > 0 or None, got 0"),
