@@ -6,8 +6,8 @@ once. A claim is of one of four kinds, which are also the verdicts (`Verdict`):
 - `Follows`: computed from other printed numbers alone, within their rounding.
 - `Contradicts`: computed from other printed numbers alone, in every reading that the row names. No
   limit and no assumption of ours takes part; the proof is one line.
-- `Possible`: a run with named assumptions gives it. An assumption that was chosen so that the
-  number comes out is named first.
+- `Possible`: a run with named assumptions gives it. An assumption that was chosen to
+  obtain the printed number, or so that the sentence holds, is named first.
 - `Open`: what was published does not decide it.
 
 A `Setting`, of ``settings.toml``, is a number that computations were fed with. It is listed and not
@@ -239,7 +239,7 @@ class Contradicts(Compared):
 
     def explanations(self) -> dict[str, str]:
         right = f"{self.corrected} {self.unit}".rstrip() if self.corrected else ""
-        return {"Proof": self.proof, "Right": right, "Tried in": self.readings}
+        return {"Proof": self.proof, "Right": right, "Meanings that we tried": self.readings}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,7 +249,7 @@ class Possible(Compared):
     Attributes
     ----------
     chosen : str
-        The assumption that was chosen so that the number comes out, if one was.
+        The assumption that was chosen to obtain the printed number or sentence, if one was.
     assumes : str
         The other assumptions: inputs that are not printed, and the meaning of words.
     """
@@ -265,7 +265,8 @@ class Possible(Compared):
         return _misses(self, low, high)
 
     def explanations(self) -> dict[str, str]:
-        chosen = {"Chosen so that the number comes out": self.chosen, "Assumes": self.assumes}
+        why = "to obtain the printed number" if self.printed else "so that the sentence holds"
+        chosen = {f"Chosen {why}": self.chosen, "Assumes": self.assumes}
         return chosen | ({"Rule": _in_words(self)} if self.condition else {})
 
 
