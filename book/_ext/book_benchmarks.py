@@ -27,7 +27,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from compendium import ROOT
-from compendium.figures.style import COLORS, to_svg, use_style
+from compendium.figures.style import to_svg, use_style
 
 RESULTS = ROOT / "benchmarks" / "results"
 MARKERS = "osD^v*"
@@ -58,11 +58,8 @@ def draw(found: pd.DataFrame, quantity: str, *, log: bool) -> Figure:
     figure = Figure(figsize=(5.2, 1.8 + 0.34 * len(found) + 0.22 * len(found.columns)))
     axes = figure.subplots()
     places = range(len(found), 0, -1)
-    colors = [COLORS[name] for name in ("blue", "orange", "green", "pink", "grey", "yellow")]
-    for name, color, marker in zip(found, colors, MARKERS, strict=False):
-        axes.plot(
-            found[name].to_numpy(), list(places), marker, color=color, label=name, markersize=7
-        )
+    for name, marker in zip(found, MARKERS, strict=False):
+        axes.plot(found[name].to_numpy(), list(places), marker, label=name, markersize=7)
     axes.set(yticks=list(places), xlabel=quantity)
     axes.set_yticklabels(list(found.index))
     if log:

@@ -12,7 +12,7 @@ from functools import cache
 from typing import Any
 
 import nbformat
-from book_tables import write_script
+from book_tables import add_data
 from book_test_sources import place_of_test
 from book_verdicts import CLAIMS, every_entry, grounds, printed, records
 from docutils import nodes
@@ -105,16 +105,9 @@ def read_cards(app: Sphinx) -> dict[str, dict[str, Any]]:
     return cards
 
 
-def write_cards(app: Sphinx, error: Exception | None) -> None:
-    if error is None and app.builder.format == "html":
-        write_script(app, "number_cards.js", "numberCards", read_cards(app))
-
-
-def load_cards(app: Sphinx, page: str, template: str, context: Any, doctree: Any) -> None:
-    if page == "search" or re.search(r'href="[^"]*#(number|claim)-', context.get("body", "")):
-        app.add_js_file("number_cards.js", loading_method="defer")
+def shows_numbers(page: str, text: str) -> bool:
+    return page == "search" or re.search(r'href="[^"]*#(number|claim)-', text) is not None
 
 
 def setup(app: Sphinx) -> None:
-    app.connect("html-page-context", load_cards)
-    app.connect("build-finished", write_cards)
+    add_data(app, "numberCards", read_cards, shows_numbers)

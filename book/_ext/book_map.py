@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import nbformat
 from book_surfaces import surface_script
-from book_tables import link, table
+from book_tables import link, table, when_written
 from docutils import nodes
 from sphinx import addnodes
 from sphinx.application import Sphinx
@@ -280,8 +280,8 @@ def escape_initials(
     lines[:] = [INITIAL.sub(r"\1\\\2", line) for line in lines]
 
 
-def copy_figures(app: Sphinx, error: Exception | None) -> None:
-    if error is None and app.builder.format == "html" and FIGURES.exists():
+def copy_figures(app: Sphinx) -> None:
+    if FIGURES.exists():
         shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
 
 
@@ -295,4 +295,4 @@ def setup(app: Sphinx) -> None:
     app.connect("doctree-read", link_numbers)
     # After numpydoc, which rewrites the lines it is given.
     app.connect("autodoc-process-docstring", escape_initials, priority=900)
-    app.connect("build-finished", copy_figures)
+    when_written(app, copy_figures)

@@ -20,6 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from book_tables import when_written
 from sphinx.application import Sphinx
 
 from compendium import ROOT
@@ -95,9 +96,7 @@ def embed_icons(static: Path) -> None:
             shutil.rmtree(folder / unused)
 
 
-def copy_libraries(app: Sphinx, error: Exception | None) -> None:
-    if error or app.builder.format != "html":
-        return
+def copy_libraries(app: Sphinx) -> None:
     static = Path(app.outdir) / "_static"
     source = package_folder("sphinx-mathjax-offline") / "static" / "mathjax"
     for part in ("startup", *MATHJAX):
@@ -122,4 +121,4 @@ def copy_libraries(app: Sphinx, error: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     app.connect("config-inited", configure, priority=900)
     app.connect("html-page-context", shape_page, priority=900)
-    app.connect("build-finished", copy_libraries)
+    when_written(app, copy_libraries)

@@ -7,10 +7,8 @@ before the other results.
 
 from __future__ import annotations
 
-from typing import Any
-
 from book_map import find_items, read_map
-from book_tables import write_script
+from book_tables import add_data
 from docutils import nodes
 from sphinx.application import Sphinx
 
@@ -29,16 +27,5 @@ def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
     return numbers
 
 
-def write_numbers(app: Sphinx, error: Exception | None) -> None:
-    if error is None and app.builder.format == "html":
-        write_script(app, "numbers.js", "thesisNumbers", list_numbers(app))
-
-
-def load_numbers(app: Sphinx, page: str, template: str, context: Any, doctree: Any) -> None:
-    if page == "search":
-        app.add_js_file("numbers.js", loading_method="defer")
-
-
 def setup(app: Sphinx) -> None:
-    app.connect("html-page-context", load_numbers)
-    app.connect("build-finished", write_numbers)
+    add_data(app, "thesisNumbers", list_numbers, lambda page, text: page == "search")

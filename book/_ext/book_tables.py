@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,11 +72,30 @@ def script_json(data: object) -> str:
     return json.dumps(data, ensure_ascii=False).replace("<", "\\u003c")
 
 
-def write_script(app: Sphinx, file: str, name: str, data: object) -> None:
-    """Write data as a script, which is all that a page opened from a file can read."""
-    text = json.dumps(data, ensure_ascii=False)
-    path = Path(app.outdir) / "_static" / file
-    path.write_text(f"globalThis.{name} = {text};\n", encoding="utf-8")
+def when_written(app: Sphinx, do: Callable[[Sphinx], None]) -> None:
+    """Call a function when all pages are written; the book has no other form than HTML."""
+    app.connect("build-finished", lambda app, error: None if error else do(app))
+
+
+def add_data(
+    app: Sphinx, name: str, make: Callable[[Sphinx], object], wanted: Callable[[str, str], object]
+) -> None:
+    """Write what `make` returns as a script, which is all that a page opened from a file can read.
+
+    The pages load it of whose name and text `wanted` is true.
+    """
+
+    def write(app: Sphinx) -> None:
+        text = json.dumps(make(app), ensure_ascii=False)
+        path = Path(app.outdir) / "_static" / f"{name}.js"
+        path.write_text(f"globalThis.{name} = {text};\n", encoding="utf-8")
+
+    def load(app: Sphinx, page: str, template: str, context: dict, doctree: Any) -> None:
+        if wanted(page, context.get("body", "")):
+            app.add_js_file(f"{name}.js", loading_method="defer")
+
+    when_written(app, write)
+    app.connect("html-page-context", load)
 
 
 def raw_html(text: str) -> nodes.raw:

@@ -12,6 +12,7 @@ from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
+from book_tables import when_written
 from numpy.typing import NDArray
 from sphinx.application import Sphinx
 
@@ -34,10 +35,8 @@ def render_stack() -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.f
     return frames, positions, height
 
 
-def write_scripts(app: Sphinx, error: Exception | None) -> None:
+def write_scripts(app: Sphinx) -> None:
     """Copy the scripts, and write the stack as one, all that a page opened from a file can read."""
-    if error or app.builder.format != "html":
-        return
     folder = Path(app.outdir) / "_static" / "try"
     shutil.copytree(Path(app.srcdir) / "_try", folder, dirs_exist_ok=True)
     frames, positions, height = render_stack()
@@ -53,4 +52,4 @@ def write_scripts(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    app.connect("build-finished", write_scripts)
+    when_written(app, write_scripts)

@@ -149,7 +149,7 @@ def test_search_lists_matching_number_first(page: Page, html: Path) -> None:
 
 
 def test_search_finds_every_numbered_item(page: Page, html: Path) -> None:
-    numbers = script(html, "numbers.js")
+    numbers = script(html, "thesisNumbers.js")
     kinds = [kind for entries in numbers.values() for kind, *_ in entries]
     wanted = {"equation": 63, "figure": 30, "table": 8}
     assert {kind: kinds.count(kind) for kind in wanted} == wanted
