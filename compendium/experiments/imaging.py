@@ -15,8 +15,7 @@ import numpy as np
 
 from compendium import thesis
 from compendium.experiments.chapter_2 import grid_in_view
-from compendium.experiments.identifiability import tilted
-from compendium.experiments.microscope import make_scope, turned
+from compendium.experiments.microscope import open_microscope
 from compendium.experiments.section_5_3 import texture_sequence
 from microlib.calibration import calibrate
 from microlib.embryo import modulus_from_image
@@ -25,7 +24,7 @@ from microlib.membrane import elastic_modulus, modulus_uncertainty
 from microlib.microscope import Microscope
 from microlib.servoing import servo
 from microlib.synthetic import Embryo, embryo_image, focal_stack, mixed_texture
-from microlib.tracking import track_all
+from microlib.tracking import ESMTracker, track_all
 
 MEMBRANE = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}  # µm, µm, no unit
 Prices = dict[str, tuple[Sequence[float], list[float]]]
@@ -74,7 +73,11 @@ def of_calibration() -> Prices:
 
     def error(views: int = 4, tilt: float = 20.0, noise: float = 0.05) -> float:
         rng = np.random.default_rng(1)
-        scopes = [replace(tilted(flat, tilt), alpha=2.4 * view) for view in range(views)]
+        angle = np.deg2rad(tilt)
+        scopes = [
+            replace(flat, alpha=2.4 * view, beta=0.8 * angle, gamma=0.6 * angle)
+            for view in range(views)
+        ]
         worlds = [grid_in_view(scope, pitch=560.0) for scope in scopes]
         images = [
             s.project(w) + rng.normal(0, noise, w.shape)
@@ -123,7 +126,7 @@ def of_embryo() -> Prices:
         error,
         pixel_size=("pixel size (µm/px)", (4.0, 6.0, 9.0)),
         blur=("blur (px)", (0.5, 1.0, 1.5)),
-        depth=("depth of the dimple (µm)", (40.0, 60.0, 120.0)),
+        depth=("depth of the dimple (µm)", (60.0, 120.0)),
     )
 
 
@@ -147,14 +150,11 @@ def of_servoing() -> Prices:
     """Return the number of frames until the simulation reaches its targets."""
 
     def frames(test: float = 50.0, longest: float = 150.0, tolerance: float = 0.05) -> float:
-        scope = make_scope(1, jacobian=turned(2.2, 0.2, mirrored=True))
-        targets = np.add(scope.home, [[40.0, -30.0], [-35.0, -25.0], [0.0, 0.0]])
-        limits: dict[str, Any] = {
-            "test_move": test,
-            "longest_move": longest,
-            "tolerance": tolerance,
-        }
-        return len(servo(scope.workstation, scope.tracker(), targets, travel=400.0, **limits).log)
+        scope, _ = open_microscope("")
+        tracker = ESMTracker(scope.camera.snap()[0], (135, 95, 50, 50), "translation")
+        targets = np.add([159.5, 119.5], [[40.0, -30.0], [-35.0, -25.0], [0.0, 0.0]])
+        limits: dict[str, Any] = {"test_move": test, "longest_move": longest}
+        return len(servo(scope, tracker, targets, travel=400.0, tolerance=tolerance, **limits).log)
 
     return vary(
         frames,
