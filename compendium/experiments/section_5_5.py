@@ -43,6 +43,9 @@ REACH = thesis.MEAN_WINDOW // 2 + sum(
 #: How far they reach altogether: with the focus measure and the median of (3.14), px.
 FULL_REACH = REACH + SML_WINDOW // 2 + thesis.MEDIAN_WINDOW // 2
 
+#: The two forms of the window (3.19), whose printed one gives half of the second derivative.
+WINDOWS = ("printed", "corrected")
+
 # What the sentences of section 5.5.2 mean as numbers; our choice.
 
 #: Connected pixels that make a patch: a block of two by two, the smallest with an inside.
@@ -250,7 +253,9 @@ def count_patches(labels: NDArray, where: NDArray[np.bool_], kinds: tuple[int, .
     return int((np.bincount(regions.ravel())[1:] >= PATCH).sum())
 
 
-def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, float]:
+def ridge_sentences(
+    height: NDArray, labels: NDArray[np.uint8], *, corrected: bool = False
+) -> dict[str, float]:
     """Turn each sentence about the label map of the ridge into a number.
 
     The places are those of the true shape. *Near the maximum* is where the label of the true shape
@@ -262,6 +267,8 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
         True height, µm; one profile all along the ridge.
     labels : ndarray, shape (rows, cols)
         Surface types; 0 where unknown.
+    corrected : bool
+        Label the true shape with the corrected window (3.19) instead of the printed one.
 
     Returns
     -------
@@ -269,7 +276,7 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
         By claim of section 5.5.
     """
     known, on = labels > 0, height > 0
-    convex = thesis_labels(height) == 2
+    convex = thesis_labels(height, corrected=corrected) == 2
     feet = np.flatnonzero(np.diff(on[0])) + np.array([0, 1])  # the ground's last and first pixel
     near = [known[:, foot - REACH : foot + REACH + 1] for foot in feet]
     lines = [(labels[:, foot - REACH : foot + REACH + 1] == 8).any(axis=1) for foot in feet]
@@ -285,14 +292,16 @@ def ridge_sentences(height: NDArray, labels: NDArray[np.uint8]) -> dict[str, flo
     }
 
 
-def edge_by_ground() -> float:
+def edge_by_ground(*, corrected: bool = False) -> float:
     """Return the share of `ridge_sentences` at the feet of a true ridge, less that of a parabola
     that goes on below the ground, which has no concave point."""
     column = np.arange(RIDGE_SHAPE[1]) - (RIDGE_SHAPE[1] - 1) / 2
     profile = thesis.RIDGE_HEIGHT * (1 - (2 * column / LABELED_WIDTH) ** 2)
     parabola = np.broadcast_to(profile, RIDGE_SHAPE)
     shares = [
-        ridge_sentences(height, thesis_labels(height))["edge-concave-cylindric"]
+        ridge_sentences(height, thesis_labels(height, corrected=corrected))[
+            "edge-concave-cylindric"
+        ]
         for height in (np.maximum(parabola, 0.0), parabola)
     ]
     return shares[0] - shares[1]
@@ -317,7 +326,8 @@ def ridge_map(
     Returns
     -------
     pandas.DataFrame
-        A row each scene: ``width``, ``noise``, the `ridge_sentences`, whether ``all`` of them hold;
+        Two rows each scene, by the ``window`` (3.19), ``printed`` or ``corrected``: its ``width``,
+        its ``noise``, the `ridge_sentences`, whether ``all`` of them hold;
         how many pixels are saddle ridges or convex elliptic by the ``true shape``, with the depth
         from focus with ``spikes`` and ``corrected`` by (3.14); and the RMS error on the ridge of
         the ``best frame`` and of the Gaussian ``fit`` (3.13), µm.
@@ -334,14 +344,17 @@ def ridge_map(
             "spikes": ndimage.uniform_filter(found, thesis.MEAN_WINDOW),
             "corrected": depth,
         }
-        types = {name: thesis_labels(each) for name, each in maps.items()}
-        sentences = ridge_sentences(ridge.height, types["corrected"])
-        planar, cylindric, patches, edge = sentences.values()
-        hold = min(planar, edge) > 1 - SMALL and cylindric > MOST and patches >= 1
-        patchy = {name: int(np.isin(each[on], (1, 3)).sum()) for name, each in types.items()}
         errors = {"best frame": frame, "fit": found}
         rms = {name: np.sqrt(np.mean((z - ridge.height)[on] ** 2)) for name, z in errors.items()}
-        rows.append({"width": width, "noise": noise, **sentences, "all": hold} | patchy | rms)
+        for window in WINDOWS:
+            right = window == "corrected"
+            types = {name: thesis_labels(each, corrected=right) for name, each in maps.items()}
+            sentences = ridge_sentences(ridge.height, types["corrected"], corrected=right)
+            planar, cylindric, patches, edge = sentences.values()
+            hold = min(planar, edge) > 1 - SMALL and cylindric > MOST and patches >= 1
+            patchy = {name: int(np.isin(each[on], (1, 3)).sum()) for name, each in types.items()}
+            scene = {"width": width, "noise": noise, "window": window}
+            rows.append(scene | sentences | {"all": hold} | patchy | rms)
     return pd.DataFrame(rows)
 
 
@@ -421,19 +434,46 @@ def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:
     Returns
     -------
     dict of str to pandas.DataFrame
-        A row each run, a column each claim of section 5.5: of both objects with the windows as
-        *printed*, of the ball with the *corrected* window, and of a *smooth* ball.
+        A row each run, a column each claim of section 5.5: of both objects with the window (3.19)
+        as *printed* and *corrected*, and of a ``smooth-printed`` and a ``smooth-corrected`` ball.
     """
-    rows: dict[str, list[dict[str, float]]] = {"printed": [], "corrected": [], "smooth": []}
+    rows: dict[str, list[dict[str, float]]] = {
+        kind + window: [] for kind in ("", "smooth-") for window in WINDOWS
+    }
     for run in range(seed, seed + runs):
         ridge, ball = render_ridge(run, LABELED_WIDTH), render_ball(run, LABELED_ROUGHNESS)
         smooth = render_ball(run, roughness=0.0)
         depths = [thesis_depth(each.frames, each.positions)[0] for each in (ridge, ball, smooth)]
-        found = ridge_sentences(ridge.height, thesis_labels(depths[0]))
-        found["not-smooth"] = roughness(depths[1]) / roughness(depths[2])
-        rows["printed"].append(
-            found | ball_sentences(thesis_labels(depths[1])) | ball_shape(depths[1])
-        )
-        rows["corrected"].append(ball_sentences(thesis_labels(depths[1], corrected=True)))
-        rows["smooth"].append(ball_sentences(thesis_labels(depths[2])))
+        for window in WINDOWS:
+            right = window == "corrected"
+            types = [thesis_labels(depth, corrected=right) for depth in depths]
+            found = ridge_sentences(ridge.height, types[0], corrected=right)
+            rows[window].append(found | ball_sentences(types[1]))
+            rows["smooth-" + window].append(ball_sentences(types[2]))
+        rows["printed"][-1] |= ball_shape(depths[1])
+        rows["printed"][-1]["not-smooth"] = roughness(depths[1]) / roughness(depths[2])
     return {scenes: pd.DataFrame(found) for scenes, found in rows.items()}
+
+
+def with_corrected_window(
+    mapped: pd.DataFrame, scenes: dict[str, pd.DataFrame]
+) -> dict[str, float]:
+    """Return what the book states of the corrected window, from `ridge_map` and `describe_scenes`.
+
+    The *crest* is of the ridges of `LABELED_WIDTH` without noise and with `RIDGE_NOISE`.
+    """
+    found: dict[str, float] = {}
+    usual = mapped[mapped["noise"].isin([0.0, RIDGE_NOISE])]
+    for window in WINDOWS:
+        crest = usual[(usual["window"] == window) & (usual["width"] == LABELED_WIDTH)]
+        found[f"crest-least-{window}"] = crest["crest-convex-cylindric"].min()
+        found[f"crest-most-{window}"] = crest["crest-convex-cylindric"].max()
+        sides = mapped.loc[mapped["window"] == window].query("noise <= @RIDGE_NOISE")
+        found[f"sides-least-{window}"] = sides["sides-planar"].min()
+    wider = usual[(usual["window"] == "corrected") & (usual["width"] == 60)]
+    found["all-corrected-60"] = int(wider["all"].sum())
+    smooth, rough = (
+        scenes[kind]["ball-top-cylindric"] for kind in ("smooth-corrected", "corrected")
+    )
+    found["ball-roughness-corrected"] = smooth.mean() / rough.mean()
+    return found

@@ -176,6 +176,25 @@ def displacement_at_the_corner(pixels: float) -> bool:
     return abs(moved - pixels) < 0.1
 
 
+def test_relative_displacement_at_corner_is_small():
+    percent = [
+        100 * abs(column(name)["kappa"]) * (9.9 * np.hypot(656, 491) / 2) ** 2
+        for name in thesis.COLUMNS
+    ]
+    np.testing.assert_allclose(percent, [1.4, 0.02, 0.35, 0.25], atol=0.05, rtol=0)
+
+
+def test_printed_ratio_of_probe_gives_712_000_mpa():
+    """(5.2) as the rows and the erratum state it, with the half-width ζ a."""
+    force, a, depth = (printed(f"table-5.6/{k}") for k in ("F", "a", "w_d"))
+    zeta = printed("table-5.6/zeta")
+    log, square = np.log(zeta**2), zeta**2
+    bracket = (1 - square) * (1 - square + log) ** 3 / (3 - 4 * square + square**2 + 2 * log)
+    modulus = force * a**2 * 0.5 / (2 * np.pi * 3.0 * depth**3) * bracket
+    assert abs(modulus) == pytest.approx(712_000, abs=500)
+    assert round(depth / a, 2) == 0.49  # section-4/contact-mechanics
+
+
 def seen_from_one_side(gamma: float) -> bool:
     """All four patterns are mirrored in their images, or none is."""
     gammas = [column(name)["gamma"] for name in thesis.COLUMNS if name != "circle-4X"]

@@ -1,8 +1,13 @@
 """Experiments of chapters 2, 3, 4 and 6 and of the page on uncertainty, against known truth."""
 
+import json
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
+from compendium import ledger
 from compendium.experiments import (
     chapter_2_tracking,
     chapter_3,
@@ -55,6 +60,14 @@ def test_values_of_sentences_follow_from_printed_numbers():
             "section-6/precise-and-accurate": 13 / 16,
         }
     )
+
+
+def test_benchmark_gives_times_of_esm_over_ecc_in_its_row():
+    path = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "tracking.json"
+    table = json.loads(path.read_text("utf-8"))["tables"]["Time of one frame"]
+    ratios = pd.DataFrame(**table)["ESM / ECC"]
+    stated = f"{ratios.min():.1f} to {ratios.max():.1f} times the processor time of ECC"
+    assert stated in ledger.claim("section-5.3/frames").found
 
 
 @pytest.mark.parametrize("std", [0.05, 0.2, 1.0])

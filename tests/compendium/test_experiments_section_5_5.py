@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from compendium import ledger
+from compendium import ledger, thesis
 from compendium.experiments import section_5_5
 from microlib.focus import sum_modified_laplacian
+from microlib.synthetic import sphere_on_plane
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +91,8 @@ def test_best_frame_is_nearest_to_fit(ridge):
 
 
 def test_fit_is_better_and_wide_ridge_has_no_patches():
-    found = section_5_5.ridge_map(9, (40.0, 100.0), (5.0,), runs=2).set_index("width")
+    both = section_5_5.ridge_map(9, (40.0, 100.0), (5.0,), runs=2).set_index("width")
+    found = both[both["window"] == "printed"]
     assert (found["fit"] < found["best frame"]).all()
     assert found["all"].tolist() == [True, True, False, False]
     assert (found["spikes"] > found["corrected"]).all()
@@ -107,5 +109,57 @@ def test_no_concave_pixel_lies_on_foot(ridge):
 
 def test_smooth_ball_has_fewer_cylindric_pixels():
     scenes = section_5_5.describe_scenes(9, 1)
-    smooth, rough = (scenes[name]["ball-top-cylindric"].item() for name in ("smooth", "printed"))
+    kinds = ("smooth-printed", "printed")
+    smooth, rough = (scenes[name]["ball-top-cylindric"].item() for name in kinds)
     assert smooth < 0.5 * rough
+
+
+def test_sentences_fail_with_corrected_window_as_their_rows_say():
+    scenes = section_5_5.describe_scenes(5, 5)
+    corrected = scenes["corrected"]
+    kept = {
+        name: fits(name, section_5_5.mean_interval(part)[1]) for name, part in corrected.items()
+    }
+    assert {name for name, holds in kept.items() if not holds} == {
+        "crest-convex-cylindric",
+        "ball-background-planar",
+    }
+    means = corrected.mean().round(2)
+    assert means["sides-planar"] == 0.93
+    assert means["crest-convex-cylindric"] == 0.37  # section-6/homogeneous-patches
+    assert means["ball-background-planar"] == 0.84
+    assert means["ball-top-cylindric"] == 0.66
+    assert scenes["smooth-corrected"]["ball-hyperbolic"].max() == 0
+    assert section_5_5.edge_by_ground(corrected=True) == 1.0
+    mapped = section_5_5.ridge_map(5, (40.0, 60.0, 250.0), (0.0, 5.0), runs=5)
+    noisy = mapped[mapped["noise"] == 5]
+    assert (noisy["spikes"] > noisy["corrected"]).groupby(noisy["window"]).mean().min() > 0.5
+    assert section_5_5.with_corrected_window(mapped, scenes) == pytest.approx(
+        {
+            "crest-least-printed": 0.61,
+            "crest-most-printed": 0.92,
+            "crest-least-corrected": 0.34,
+            "crest-most-corrected": 0.49,
+            "sides-least-printed": 0.94,
+            "sides-least-corrected": 0.87,
+            "all-corrected-60": 10,
+            "ball-roughness-corrected": 0.61,
+        },
+        abs=0.005,
+    )
+
+
+@pytest.mark.parametrize(
+    ("corrected", "share", "by_formula", "on_spheres"),
+    [(True, 1.0, (8.2, 33.3), (10, 33)), (False, 0.5, (4.1, 16.7), (7, 17))],
+)
+def test_window_decides_which_balls_get_label_of_cylinder(corrected, share, by_formula, on_spheres):
+    """The radii of the erratum on the thresholds; the printed window halves H at the top."""
+    limits = share / np.sqrt(thesis.K_THRESHOLD), share / thesis.H_THRESHOLD
+    assert limits == pytest.approx(by_formula, abs=0.05)
+    tops = []
+    for radius in range(2, 41):
+        ball = sphere_on_plane((131, 131), float(radius), 1.0)
+        tops.append(section_5_5.thesis_labels(ball, corrected=corrected)[65, 65])
+    first, last = on_spheres
+    assert tops == [1] * (first - 2) + [2] * (last - first + 1) + [5] * (40 - last)
