@@ -14,7 +14,6 @@ from microlib._common import (
     as_array,
     as_image,
     as_integer,
-    as_non_negative,
     as_positive,
     as_scalar,
 )
@@ -263,7 +262,7 @@ class BlurLadder:
     def at(self, sigma: ArrayLike) -> NDArray[np.float32]:
         """Return the image blurred by `sigma`, px, one number or one for every pixel."""
         shape = self._images.shape[1:]
-        blur = as_non_negative("sigma", sigma)
+        blur = as_array("sigma", sigma, least=0)
         if blur.shape not in ((), shape):
             raise ValueError(
                 f"sigma must be one number or have the image's shape {shape}, got {blur.shape}"
@@ -323,7 +322,7 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     >>> [round(float(blurred[4, x]), 3) for x in (3, 5)]
     [0.097, 0.035]
     """
-    blur = as_non_negative("sigma", sigma)
+    blur = as_array("sigma", sigma, least=0)
     if blur.ndim == 0:
         return _blurred(as_image("image", image), float(blur)).copy()
     return BlurLadder(image, float(blur.max())).at(blur)

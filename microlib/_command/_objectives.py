@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from microlib._command._options import detect_each, photographs, resolve_scales
-from microlib._command._session import End, Session, picture, rounded, text
+from microlib._command._session import End, Session, option, picture, rounded, text
 
 #: Names of the files that it writes, beside a picture.
 FILES = ("objectives.csv", "micromanager.txt", "imagej.ijm")
@@ -25,7 +25,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     for name in ("pitch", "pitch_y", "pixel_pitch", "focal_length"):
         if getattr(a, name) is not None:
-            raise ValueError(f"a micrometer needs --division, not --{name.replace('_', '-')}")
+            raise ValueError(f"a micrometer needs --division, not {option(name)}")
     resolve_scales(a, session, "division")
     photos = photographs(a.source, session)
     names = {photo: re.sub(r'[,"\\]', "_", photo.stem) for photo in photos}
@@ -37,11 +37,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     scales = {names[photo]: scale for photo, (_, scale) in found.items()}
     sizes = {name: scale.um_per_pixel(a.division) for name, scale in scales.items()}
     _check_magnifications(session, {name: size.value for name, size in sizes.items()})
-    columns = ("value", "uncertainty", "low", "high", "unit")
-    table = pd.DataFrame(
-        {column: [getattr(size, column) for size in sizes.values()] for column in columns},
-        index=pd.Index(sizes, name="objective"),
-    ).assign(lines=[len(scale.points) for scale in scales.values()])
+    rows = [vars(size) for size in sizes.values()]
+    table = pd.DataFrame(rows, index=pd.Index(sizes, name="objective"))
+    table["lines"] = [len(scale.points) for scale in scales.values()]
     digits = {name: f"{size.value:.7g}" for name, size in sizes.items()}
     session.write("objectives.csv", text(rounded(table).to_csv(lineterminator="\n")))
     session.write("micromanager.txt", text(_micro_manager(digits)))

@@ -7,7 +7,6 @@ from microlib._common._checks import (
     as_generator,
     as_integer,
     as_map,
-    as_non_negative,
     as_positive,
     as_scalar,
     as_tuple,

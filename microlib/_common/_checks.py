@@ -129,11 +129,6 @@ def as_positive(name: str, value: ArrayLike) -> Array:
     return as_array(name, value, above=0)
 
 
-def as_non_negative(name: str, value: ArrayLike) -> Array:
-    """Return `value` as float64, every element zero or more."""
-    return as_array(name, value, least=0)
-
-
 def as_integer(
     name: str, value: object, *, least: int, odd: bool = False, most: int | None = None
 ) -> int:

@@ -69,12 +69,7 @@ class GripperScene(Result):
         return int(x), int(y), size, size
 
     def frame(
-        self,
-        shift: ArrayLike,
-        rng: np.random.Generator | int,
-        *,
-        noise: float = 2.0,
-        gain: float = 1.0,
+        self, shift: ArrayLike, rng: np.random.Generator | int, *, noise: float = 2.0
     ) -> NDArray[np.uint8]:
         """Return the frame with the gripper moved by `shift` = (x, y) px from home."""
         shift = as_array("shift", shift, shape=(2,))
@@ -87,7 +82,7 @@ class GripperScene(Result):
         size = self.shape[::-1]
         drawing = cv2.warpAffine(self.drawing, sampling, size, flags=flags)
         cover = cv2.warpAffine(self.cover, sampling, size, flags=flags)
-        scene = as_scalar("gain", gain, above=0) * (drawing + (1.0 - cover) * self.ground)
+        scene = drawing + (1.0 - cover) * self.ground
         sigma = as_scalar("noise", noise, least=0)
         noisy = scene + sigma * as_generator("rng", rng).standard_normal(self.shape, np.float32)
         return eight_bits(noisy)

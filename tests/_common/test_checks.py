@@ -13,7 +13,6 @@ def test_valid_values_are_returned():
     assert check.as_array("x", array, shape=(None, 3)) is array
     assert np.isnan(check.as_array("x", [1.0, np.nan], finite=False)[1])
     assert check.as_image("x", np.zeros((3, 4), np.uint8), smallest=3).dtype == np.float32
-    assert check.as_non_negative("x", [0.0, 2.0]).tolist() == [0.0, 2.0]
     assert check.as_integer("x", np.int64(3), least=3, odd=True, most=3) == 3
     # NumPy's generator of the same seed draws the same; zero is a seed.
     assert check.as_generator("x", 0).random() == np.random.default_rng(0).random()
@@ -36,7 +35,7 @@ def test_valid_values_are_returned():
         ("as_image", [np.zeros((2, 2, 3))], {}, "x must be a grey image .* got 3"),
         ("as_image", [np.zeros((9, 3))], {"smallest": 4}, r"x must be at least 4 px .*\(9, 3\)"),
         ("as_positive", [[1.0, 0.0]], {}, "x must be positive, got 0"),
-        ("as_non_negative", [-1.0], {}, "x must be zero or positive, got -1"),
+        ("as_array", [-1.0], {"least": 0}, "x must be zero or positive, got -1"),
         ("as_integer", [2.0], {"least": 1}, r"x must be a whole number, got 2\.0"),
         ("as_integer", [True], {"least": 1}, "x must be a whole number, got True"),
         ("as_integer", [4], {"least": 3, "odd": True}, "x must be odd, got 4"),
