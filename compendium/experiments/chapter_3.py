@@ -43,7 +43,7 @@ def depths(
         error = (result.depth - truth)[10:-10, 10:-10] / spacing
         rows[name] = {
             "RMS error (frame spacings)": np.sqrt(np.nanmean(error**2)),
-            "beyond one spacing (%)": 100 * np.mean(np.abs(error) > 1),
+            "share above one spacing (%)": 100 * np.mean(np.abs(error) > 1),
         }
     return results, pd.DataFrame(rows).T
 

@@ -37,7 +37,7 @@ def test_depth_errors_are_in_frame_spacings():
         frames[k] = 128 + (texture - 128) * np.exp(-(((position - 30) / 20) ** 2))
     _, table = chapter_3.depths(frames, positions, truth + 5.0, {"sml": {"measure": "sml"}})
     assert table.loc["sml", "RMS error (frame spacings)"] == pytest.approx(0.5, abs=0.01)
-    assert table.loc["sml", "beyond one spacing (%)"] == 0
+    assert table.loc["sml", "share above one spacing (%)"] == 0
 
 
 def test_modulus_exponents_equal_formula():
