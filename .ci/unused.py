@@ -24,8 +24,9 @@ import tifffile
 ROOT = Path(__file__).resolve().parent.parent
 #: What people run with the commands, with the smallest files of the project and those of `inputs`.
 COMMANDS = (
-    "depth data/synthetic/focal_stack.tif --spacing 25 --pixel-size 3.9 -o {out}",
-    "depth data/real/beads --spacing 1 --pixel-size 1 --register --reduce 2 --workers 2 -o {out}",
+    "depth data/synthetic/focal_stack.tif --spacing 25 --pixel-size 3.9 --max-uncertainty 5um"
+    " -o {out}",
+    "depth data/real/beads --register --reduce 2 --workers 2 -o {out}",
     "calibrate data/synthetic/circles.png --pitch 280 --pixel-pitch 9.9"
     " --focal-length 126150 -o {out}",
     "calibrate data/real/chessboard --pitch 25mm -o {out}",
@@ -37,7 +38,7 @@ COMMANDS = (
     "track {folder}/a_look.mp4 --box 30 40 40 40 -o {out}.csv",
     "track {folder}/film.ome.tif --box 30 40 40 40 -o {out}.csv",
     "modulus data/synthetic/outline.csv --force 10 --pixel-size 3.875 --thickness 3"
-    " --probe-half-width 25 --poisson-ratio 0.5 -o {out}.csv",
+    " --probe-half-width 25 --poisson-ratio 0.5 --force-uncertainty 0.2 -o {out}.csv",
 )
 SETTINGS = """[run]
 parallel = true
