@@ -6,6 +6,7 @@
 - Every displayed formula with a ``\\tag`` of the thesis gets an anchor and a link to its function;
   every numbered section and every mention of an item gets an anchor or a link, too.
 - A figure whose data were kept gets a link to them.
+- The search is given where each section, equation, figure and table stands.
 
 Sphinx numbers equations and figures by itself; none of its extensions keeps another text's numbers.
 """
@@ -23,7 +24,7 @@ from typing import Any, ClassVar
 
 import nbformat
 from book_surfaces import surface_script
-from book_tables import link, table, when_written
+from book_tables import add_data, link, table, when_written
 from docutils import nodes
 from sphinx import addnodes
 from sphinx.application import Sphinx
@@ -285,7 +286,26 @@ def copy_figures(app: Sphinx) -> None:
         shutil.copytree(FIGURES, Path(app.outdir) / "_static" / "figures", dirs_exist_ok=True)
 
 
+def list_numbers(app: Sphinx) -> dict[str, list[list[str]]]:
+    """Return kind, text and address of what each number may mean, sections first.
+
+    The search of Sphinx knows no numbers such as 5.6 or 1.3237. ``_static/search_numbers.js`` puts
+    what this list and the cards of the claims say of a number before the other results.
+    """
+    numbers: dict[str, list[list[str]]] = {}
+    places = find_items()
+    for item in sorted(read_map().values(), key=lambda item: item.kind != "section"):
+        if item.id in places:
+            stem, anchor = places[item.id]
+            text = f"{item.kind.capitalize()} {item.shown}: {item.what}"
+            page = app.builder.get_target_uri(f"notebooks/{stem}")
+            address = f"{page}#{nodes.make_id(anchor)}"
+            numbers.setdefault(item.number, []).append([item.kind, text, address])
+    return numbers
+
+
 def setup(app: Sphinx) -> None:
+    add_data(app, "thesisNumbers", list_numbers, lambda page, text: page == "search")
     app.add_directive("map", Map)
     app.add_post_transform(TaggedFormulas)
     app.connect("doctree-read", lower_indices, priority=100)  # before titles are collected
