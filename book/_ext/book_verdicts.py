@@ -295,9 +295,10 @@ class Errata(SphinxDirective):
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
             proof = place_of_test(entry["test"], f'"{name}": (')
-            ways = f"Proof: {html_link(entry['test'], *proof)}."
+            ways = f"Proof: a {html_link('test', *proof)}."
             if claims := entry.get("claims", "").split():
-                links = (html_link(c, "claims", f"claim-{c}") for c in claims)
+                rows = ledger.claims() | ledger.settings()
+                links = (html_link(rows[c].what, "claims", f"claim-{c}") for c in claims)
                 ways += f" Printed numbers: {', '.join(links)}."
             if name in places:
                 # The map makes a link of it.
@@ -306,7 +307,7 @@ class Errata(SphinxDirective):
             lines += ["", f"**Printed:** {entry['printed']}", ""]
             if reading := entry.get("reading"):
                 lines += [f"**A reading without an error:** {reading}", ""]
-            lines += [f"**{'Otherwise' if reading else 'Right'}:** {entry['corrected']}", ""]
+            lines += [f"**{'Right in the other reading' if reading else 'Right'}:** {entry['corrected']}", ""]
             lines += [entry["proof"], "", f'<span class="erratum-sources">{ways}</span>']
             result.append(parse_lines(self, lines, section(f"erratum-{name}", entry["title"])))
         return result
