@@ -276,7 +276,7 @@ def project_points(
 
 @dataclass(frozen=True)
 class Microscope(FlatResult):
-    """Model of a microscope with a camera that views a pattern plane (2.5–2.12).
+    """Model (2.5–2.12) of a microscope and camera in front of a pattern plane.
 
     Parameters
     ----------

@@ -220,7 +220,7 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 class BlurLadder:
-    """An image blurred at several levels, from which any map of blur is interpolated.
+    """Blurred copies of an image, interpolated to apply any map of blur.
 
     It is faster than `defocus` if one image is defocused many times, as in a focal stack.
 

@@ -307,7 +307,8 @@ class Errata(SphinxDirective):
             lines += ["", f"**Printed:** {entry['printed']}", ""]
             if reading := entry.get("reading"):
                 lines += [f"**A reading without an error:** {reading}", ""]
-            lines += [f"**{'Right in the other reading' if reading else 'Right'}:** {entry['corrected']}", ""]
+            right = "Right in the other reading" if reading else "Right"
+            lines += [f"**{right}:** {entry['corrected']}", ""]
             lines += [entry["proof"], "", f'<span class="erratum-sources">{ways}</span>']
             result.append(parse_lines(self, lines, section(f"erratum-{name}", entry["title"])))
         return result

@@ -94,7 +94,7 @@ class ImageEstimate(FlatResult):
 
     @cached_property
     def model_moduli(self) -> dict[str, float]:
-        """Modulus of this dimple by each model that can have it, in MPa, by the name of the model.
+        """Modulus of this dimple by each model with a solution, in MPa, by the name of the model.
 
         The models are those of `microlib.membrane.model_moduli`. The capsule has the radius of the
         outline if both of its ends are steep, and it is omitted otherwise. The modulus of (5.2) may

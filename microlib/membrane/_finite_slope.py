@@ -18,7 +18,7 @@ from microlib.membrane._point_load import GAUSS, check_bending
 
 
 def steepest_depth(rim_radius: float, *, probe_half_width: float) -> float:
-    r"""Largest depth of a dimple under a uniform stress, with a vertical membrane at the probe.
+    r"""Depth at which a membrane under uniform stress is vertical at the probe.
 
     Parameters
     ----------

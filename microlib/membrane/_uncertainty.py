@@ -107,7 +107,7 @@ def modulus_samples(
     size: int,
     rng: np.random.Generator | int,
 ) -> Array:
-    r"""Random samples of the modulus (5.2) for errors of its inputs.
+    r"""Random samples of the modulus (5.2), from random errors of its inputs.
 
     Parameters
     ----------

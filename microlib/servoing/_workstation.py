@@ -85,7 +85,7 @@ class CameraTiming:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(FlatResult):
-    """Result of `simulate`, one row per frame; an axis of length N comes first for N runs.
+    """Result of `simulate`, with one row per frame and a first axis for several runs.
 
     Attributes
     ----------
