@@ -267,7 +267,7 @@ def _around_dimple(x: Array, y: Array, away_from_ends: bool) -> tuple[Array, Arr
     near = np.abs(x - x[dip.bottom]) <= reach * (1 + 1e-9)  # a margin for rounding
     if near.sum() < _MIN_POINTS:
         raise ValueError(
-            f"x must have at least {_MIN_POINTS} points around a dimple, got {near.sum()} "
+            f"y must show a dimple of at least {_MIN_POINTS} points, got {near.sum()} "
             "within two radii of where it is deepest"
         )
     # Correlated noise has several dips of about the same depth; the limit is two of its sigma.

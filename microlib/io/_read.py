@@ -146,7 +146,8 @@ def read_frames(
         kind = _kind(stack.first)
         for k, frame in enumerate(stack):
             if (got := _kind(frame)) != kind:
-                raise ValueError(f"{stack.name(k)} must be {kind} like the first frame, got {got}")
+                like = stack.name(0).removesuffix(",")
+                raise ValueError(f"{stack.name(k)} must be {kind} like {like}, got {got}")
             yield prepare(frame, k)
 
     return replace(

@@ -166,7 +166,7 @@ def test_noisy_arc_is_rejected(noise: float, shared: int) -> None:
 def test_outline_without_dimple_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"one dimple, got one of 0 px|between two maxima"):
         dimple_from_outline(X, -(((X - 100) / 20) ** 2), pixel_size=PIXEL)
-    with pytest.raises(ValueError, match="x must have at least 24 points around a dimple"):
+    with pytest.raises(ValueError, match="y must show a dimple of at least 24 points"):
         dimple_from_outline(X[::12], Y[::12], pixel_size=PIXEL)
     # A notch narrower than what LOESS smooths over: each span gives another depth.
     notch = smooth(ACROSS) + 12 * np.exp(-(((ACROSS - 96) / 28) ** 2))
