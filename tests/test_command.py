@@ -106,7 +106,8 @@ def test_mesh_or_picture_that_fails_gives_a_note(tmp_path, capsys, monkeypatch):
     (tmp_path / "surface.ply").write_text("of another run")
     line = f"depth {tmp_path / 'flat.tif'} --spacing 10 --pixel-size 1"
     assert status(line, tmp_path, "--overwrite") == 0
-    *meshes, look = capsys.readouterr().err.splitlines()
+    *meshes, look, unknown = capsys.readouterr().err.splitlines()
+    assert "no height is known: frames must differ in focus" in unknown
     for note, ending in zip(meshes, ("ply", "stl"), strict=True):
         assert note.startswith(f"note: surface.{ending} is not written: height must have")
     assert look.startswith("note: look.png is not written: RuntimeError: latex could not")
@@ -220,12 +221,11 @@ def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
 def test_camera_matrix_and_scale_need_no_pixel_pitch(tmp_path, capsys):
     """The true focal length is 126150 µm, and T_op = 1.5893 f, behind a pixel pitch of 9.9 µm."""
     found, tables = [], []
-    for given, noted in (("", True), ("--pixel-pitch 9.9", False)):
+    for given, magnified in (("", False), ("--pixel-pitch 9.9", True)):
         line = f"calibrate circles.png --pitch 280 {given}"
         assert status(line, tmp_path / f"out{given}") == 0
         printed = capsys.readouterr()
-        assert ("neither the magnification nor the focal length" in printed.err) == noted
-        assert ("magnification" in printed.out) != noted
+        assert ("magnification" in printed.out) == magnified
         found.append(json.loads((tmp_path / f"out{given}" / "camera.json").read_text()))
         tables.append(pd.read_csv(tmp_path / f"out{given}" / "camera.csv", index_col="parameter"))
     one, other = [each["micro_manager"]["PixelSizeUm"] for each in found]
@@ -1019,3 +1019,72 @@ def test_output_name_can_be_a_dot_or_begin_with_a_tilde(tmp_path, monkeypatch):
     assert status(STACK, ".") == 0
     assert status(STACK, "~out") == 0
     assert {"height.ome.tif", "~out"} <= {file.name for file in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("frames", "note"),
+    [
+        (np.arange(7), "of the heights are at the first or last frame"),
+        (np.random.default_rng(1).permutation(21), "are the frames in order of focus?"),
+        (np.arange(21), ""),
+    ],
+)
+def test_stack_that_does_not_show_the_heights_is_noted(frames, note, tmp_path, capsys):
+    """A ramp in the lowest frames, and in all frames in a random order."""
+    texture = mixed_texture((64, 90), np.random.default_rng(0))
+    ramp = np.broadcast_to(np.linspace(20.0, 180.0, 90), texture.shape)
+    stack = focal_stack(texture, ramp, np.arange(0.0, 210.0, 10.0), blur_rate=0.1)
+    tifffile.imwrite(tmp_path / "stack.tif", np.float32(stack[frames]))
+    line = f"depth {tmp_path}/stack.tif --spacing 10 --pixel-size 3.9"
+    assert status(line, tmp_path / "out") == 0
+    printed = capsys.readouterr().err
+    assert note in printed
+    assert bool(printed) == bool(note)
+
+
+def test_scale_that_differs_from_that_of_the_file_is_noted(tmp_path, capsys):
+    about = {"axes": "ZYX", "PhysicalSizeX": 3.9, "PhysicalSizeY": 3.9, "PhysicalSizeZ": 25.0}
+    frames = tifffile.imread(INPUTS / "focal_stack.tif")
+    tifffile.imwrite(tmp_path / "stack.ome.tif", frames, ome=True, metadata=about)
+    line = f"depth {tmp_path}/stack.ome.tif --overwrite"
+    for given, noted in (("--spacing -25 --pixel-size 0.39", 2), ("--spacing 25.1", 0)):
+        assert status(f"{line} {given}", tmp_path / "out") == 0
+        printed = capsys.readouterr().err
+        assert ("the file has 25 µm: --spacing -25 is used" in printed) == bool(noted)
+        assert ("the file has 3.9 µm/px: --pixel-size 0.39 is used" in printed) == bool(noted)
+
+
+def test_pixel_size_that_no_microscope_has_is_noted(tmp_path, capsys):
+    """Of a pattern and a scale in µm whose divisions are given in mm, and as it is given."""
+    cv2.imwrite(str(tmp_path / "10x.png"), ruled(15.7 * np.arange(-7, 8), 60.0, 3.0))
+    scale = f"calibrate {tmp_path}/10x.png --marks micrometer --division"
+    lines = ["calibrate circles.png --pitch 28mm", f"track frames.tif {BOX} --pixel-size 0.5mm"]
+    for k, line in enumerate([*lines, f"{scale} 10mm", f"{scale} 10"]):
+        assert status(line, tmp_path / (f"{k}.csv" if "track" in line else f"{k}")) == 0
+        assert ("µm is that of no microscope" in capsys.readouterr().err) == (k < 3)
+
+
+def test_uneven_lines_are_noted(tmp_path, capsys):
+    places = 15.7 * np.arange(-2, 3) + [0, 0.7, -0.7, 0.7, 0]
+    cv2.imwrite(str(tmp_path / "10x.png"), ruled(places, 60.0, 3.0))
+    line = f"calibrate {tmp_path}/10x.png --marks micrometer --division 10"
+    assert status(line, tmp_path / "out") == 0
+    assert "10x: the lines are uneven" in capsys.readouterr().err
+
+
+def test_print_that_is_stretched_or_tilted_is_noted(tmp_path, capsys):
+    for stretch in (1.1, 1.0):
+        y, x = np.indices((330, 360))
+        radius = np.hypot(x % 30 - 14.5, y % (30 * stretch) - 15 * stretch)
+        cv2.imwrite(str(tmp_path / "grid.png"), 200 - 150 * np.clip(9 - radius, 0, 1))
+        assert status(f"calibrate {tmp_path}/grid.png --pitch 280", tmp_path / f"{stretch}") == 0
+        assert ("give --pitch and --pitch-y" in capsys.readouterr().err) == (stretch == 1.1)
+
+
+def test_frame_of_another_size_is_named_with_the_first_frame(tmp_path, capsys):
+    for k, size in enumerate((40, 50, 50, 50)):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((size, 60), 100, np.uint8))
+    assert status(f"depth {tmp_path} --spacing 5", tmp_path / "out") == 2
+    assert re.search(
+        r"1\.png, must be .* like frames\[0\], \S*0\.png, got", capsys.readouterr().err
+    )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._command import _objectives
-from microlib._command._options import add_scales, detect_each, photographs, resolve_scales
+from microlib._command import _options as options
 from microlib._command._session import End, Session, picture, rounded, text
 from microlib._common import PHYSICAL_RANGES
 
@@ -27,7 +27,7 @@ Views = dict[Path, tuple[NDArray, Any]]
 def add_options(parser: argparse.ArgumentParser) -> None:
     photos = "images of a pattern, folder or quoted file name pattern; one microscope, one size"
     parser.add_argument("source", metavar="PHOTO", nargs="+", help=photos)
-    add_scales(parser, "pitch", "pitch_y", "pixel_pitch", "focal_length", "division")
+    options.add_scales(parser, "pitch", "pitch_y", "pixel_pitch", "focal_length", "division")
     marks = ["auto", "chessboard", "charuco", "squares", "circles", "micrometer"]
     about = "kind of marks; micrometer: lines of a scale, a photograph for each objective"
     parser.add_argument("--marks", choices=marks, default=marks[0], help=about)
@@ -46,15 +46,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
 
     from microlib.calibration import calibrate
 
-    given = [name for name in ("pixel_pitch", "focal_length") if getattr(a, name) is not None]
-    # A focal length in µm needs the pixel pitch.
-    pitches = ("pitch",) if a.pitch_y is None else ("pitch", "pitch_y")
-    resolve_scales(a, session, *pitches, *(sorted({"pixel_pitch", *given}) if given else []))
-    if not given:
-        session.note(
-            "without --pixel-pitch neither the magnification nor the focal length in µm is known; "
-            "the result contains the principal distance in px and the scale in px/µm"
-        )
+    known = [n for n in ("pitch_y", "pixel_pitch", "focal_length") if getattr(a, n) is not None]
+    lens = ["pixel_pitch"] * (a.focal_length is not None)  # of which a length in µm needs the pitch
+    options.resolve_scales(a, session, "pitch", *sorted({*lens, *known}))
     pitch = (a.pitch, a.pitch_y or a.pitch)
     scales = {"pitch": pitch, "pixel_pitch": a.pixel_pitch, "focal_length": a.focal_length}
     views = _detect(session, a.source, a.marks)
@@ -78,6 +72,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
             f"--pitch {a.pitch:g} µm gives {size:.3g} µm per pixel, and a microscope has {least:g} "
             f"to {most:g}: did you mean --pitch {meant}?"
         )
+    options.question_size(session, size)
     images = [image for image, _ in views.values()]
     _advise(session, result, views, a.focal_length is not None)
     camera = result.to_json()
@@ -103,8 +98,8 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
     """Return the photographs with a pattern, all of the usual size, and the patterns found."""
     from microlib.calibration import detect_pattern
 
-    found = detect_each(
-        photographs(source, session), partial(detect_pattern, pattern=pattern), session
+    found = options.detect_each(
+        options.photographs(source, session), partial(detect_pattern, pattern=pattern), session
     )
     views = {photo: (image, detection) for photo, (image, (_, detection)) in found.items()}
     for photo, (_, (name, detection)) in found.items():
@@ -129,6 +124,12 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
     if result.aspect_note:
         advice = "; measure it, and give --pitch and --pitch-y" * (result.print_aspect != 1)
         session.note(result.aspect_note + advice)
+    if "beta" in result.undetermined and (tilt := result.microscope.tilt) > np.deg2rad(10):
+        session.note(
+            f"in one direction the marks are {1 / np.cos(tilt):.3f} times as far apart as in the "
+            f"other, compared with --pitch: if that is no tilt of {np.rad2deg(tilt):.0f}°, give "
+            "--pitch and --pitch-y"
+        )
     if not result.adequate:
         more = " Several photographs show more of the lens" * (len(views) == 1)
         focal = "--focal-length that of the objective, " * focal_given
@@ -146,16 +147,9 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
             f"by noise; {suspects}{more}"
         )
     if np.isnan(result.lack_of_fit):
-        session.note(
-            "too few marks to test whether the model fits: the intervals contain only noise; "
-            "photograph more marks"
-        )
+        session.note("too few marks to test whether the model fits: intervals contain only noise")
     if result.um_per_pixel.high == np.inf:
-        session.note(
-            "the pixel size has no upper limit: photograph more marks, over more of the image"
-        )
+        session.note("the pixel size has no upper limit: photograph more marks over more area")
     elif result.undetermined:
         names = ", ".join(result.undetermined)
-        session.note(
-            f"{names}: undetermined; give --focal-length, or tilt the pattern by 20° or more"
-        )
+        session.note(f"{names}: undetermined; give --focal-length, or tilt the pattern by 20°")

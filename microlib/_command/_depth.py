@@ -107,6 +107,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("summary.json", text(json.dumps(summary, indent=2)))
     session.write("look.png", picture(result.plot))
     session.say(result)
+    known = np.isfinite(result.depth)
+    if not known.any():
+        session.note("no height is known: frames must differ in focus and show texture")
+    elif (share := result.at_end[known].mean()) > 0.1:
+        session.note(f"{share:.0%} of the heights are at the first or last frame, or outside")
+    elif np.median(result.uncertainty[known]) > abs(scales["spacing"] or 1):
+        session.note("the uncertainty exceeds the spacing: are the frames in order of focus?")
     if a.register == "auto" and result.warps is None:
         session.say(
             "no change of light, position or scale is detected: not registered; motion of less "
@@ -123,10 +130,7 @@ def _advise(session: Session, spacing: Any, pixel_size: Any) -> None:
         without += ["the maps have no scale"] * (pixel_size is None) + ["no mesh is written"]
         session.note(f"{', '.join(without)}: give {' and '.join(missing)}")
     if spacing is not None and spacing < 0:
-        session.note(
-            "the spacing is negative: each frame is focused lower than the one before, and heights "
-            "are negative, from that of the first frame"
-        )
+        session.note("the spacing is negative: each frame is focused lower than the one before")
     if not missing and not _LEAST_STEP <= abs(spacing) / pixel_size <= _LARGEST_STEP:
         session.note(
             f"a spacing of {abs(spacing):g} µm is {abs(spacing) / pixel_size:.2g} pixels of "
@@ -141,9 +145,7 @@ def _within(result: FocusResult, limit: float | None) -> FocusResult:
     as_scalar("max_uncertainty", limit, above=0)
     out = result.uncertainty > limit
     fills = {"depth": np.nan, "uncertainty": np.nan, "confidence": 0, "index": -1}
-    maps = {name: getattr(result, name).copy() for name in fills}
-    for name, values in maps.items():
-        values[out] = fills[name]
+    maps = {name: np.where(out, fill, getattr(result, name)) for name, fill in fills.items()}
     return replace(result, **maps)
 
 

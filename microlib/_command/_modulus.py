@@ -61,7 +61,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
         if a.y_down:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
         seen = "up" if down else "down"
-        session.note(f"{a.source}: read with y pointing {seen}, because only so it has a dimple")
+        session.note(f"{a.source}: read with y pointing {seen}, because only so it has one dimple")
     left, left_text = _estimate(measured.left, values, uncertainties)
     right, right_text = _estimate(measured.right, values, uncertainties)
     low, high = "modulus_low_MPa", "modulus_high_MPa"
@@ -80,10 +80,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     curve = np.stack([dense, measured.curve(dense)])
     drawn = partial(outline, measured.x, measured.y, curve, points, headline)
     session.write("look.png", picture(drawn))
-    session.say(
-        "The table has the modulus by each model, the interval of (5.2), and the values that they "
-        "were computed from. The guide to the modulus says which model suits which dimple."
-    )
+    session.say("The guide 07_guide_modulus says which model suits which dimple.")
     return End()
 
 
@@ -91,9 +88,8 @@ def _unit(quantity: str) -> str:
     """Return the unit of a row of the table."""
     if quantity.endswith("_MPa"):
         return "MPa"
-    lengths = "thickness", "probe_half_width", "rim_radius", "dimple_depth"
     base = quantity.removeprefix("right_").removesuffix("_uncertainty")
-    return "µN" if base == "force" else "µm" * (base in lengths)
+    return {"force": "µN", "poisson_ratio": ""}.get(base, "µm")
 
 
 def _estimate(

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from microlib._command._options import detect_each, photographs, resolve_scales
+from microlib._command._options import detect_each, photographs, question_size, resolve_scales
 from microlib._command._session import End, Session, option, picture, rounded, text
 
 #: Names of the files that it writes, beside a picture.
@@ -30,8 +30,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     photos = photographs(a.source, session)
     names = {photo: re.sub(r'[,"\\]', "_", photo.stem) for photo in photos}
     if len(set(names.values())) < len(photos):
-        given = [*names.values()]
-        raise ValueError(f"names of files must differ, as they name the objectives, got {given}")
+        raise ValueError(f"names of files must differ, as they name the objectives, got {names}")
     found = detect_each(photos, detect_micrometer, session)
     images = {names[photo]: image for photo, (image, _) in found.items()}
     scales = {names[photo]: scale for photo, (_, scale) in found.items()}
@@ -47,6 +46,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(partial(micrometers, scales, images)))
     for name, size in sizes.items():
         session.say(f"{name}: {size}, {len(scales[name].points)} lines")
+        question_size(session, size.value)
+        if size.uncertainty > 0.01 * size.value:
+            session.note(f"{name}: the lines are uneven by more than those of a micrometer")
     return End()
 
 

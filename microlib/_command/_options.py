@@ -25,11 +25,7 @@ _SCALES = {
     "pitch_y": ("µm", "the same along the other direction, downwards, if the print is not square"),
     "division": ("µm", "distance of the closest lines of a stage micrometer"),
     "pixel_pitch": ("µm", "pixel pitch: distance of neighboring pixels on the sensor"),
-    "focal_length": (
-        "µm",
-        "focal length f of the objective (thin lens: image distance f (1 + magnification)); "
-        "estimated if it is not given",
-    ),
+    "focal_length": ("µm", "focal length of the objective as a thin lens; otherwise estimated"),
     "force": ("µN", "force of the probe"),
     "force_uncertainty": ("µN", "standard deviation of the force; 0 by default"),
     "thickness": ("µm", "thickness of the membrane"),
@@ -78,7 +74,23 @@ def resolve_scales(
             as_poisson_ratio(value)
         else:
             as_physical(name, value, signed=name == "spacing")
+        if name in given:
+            compare(session, name, value, from_file.get(name), unit)
+    if "pixel_size" in given:
+        question_size(session, given["pixel_size"])
     return scales
+
+
+def compare(session: Session, name: str, given: float, own: float | None, unit: str) -> None:
+    """Note that a given value differs from that of the file."""
+    if own and abs(given - own) > 0.01 * abs(own):
+        session.note(f"the file has {own:.4g} {unit}: {option(name)} {given:g} is used")
+
+
+def question_size(session: Session, size: float) -> None:
+    """Note that a pixel is larger than those of microscopes and macro lenses."""
+    if size > 100:
+        session.note(f"a pixel of {size:.3g} µm is that of no microscope: is the unit right?")
 
 
 def add_axes(parser: argparse.ArgumentParser) -> None:

@@ -85,8 +85,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
         from_file = (len(rows) - 1) / last
         if a.rate is None:
             rate = from_file
-        elif abs(from_file / rate - 1) > 0.01:
-            session.note(f"the file has {from_file:.4g} frames/s: --rate {rate:g} is used")
+        options.compare(session, "rate", rate, from_file, "frames/s")
     session.write("look.png", picture(lambda: tracking.plot_track(track, next(iter(frames)))))
     if a.video:
         session.write("look.mp4", partial(_write_film, frames, track, rate))
