@@ -662,7 +662,7 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         ("calibrate circles.png --marks micrometer --division 10", "image must show a scale of"),
         (
             f"calibrate circles.png {INPUTS}/circles.png --marks micrometer --division 10",
-            "names of files must differ",
+            "names of photographs must differ, got",
         ),
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),

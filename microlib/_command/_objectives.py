@@ -30,7 +30,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     photos = photographs(a.source, session)
     names = {photo: re.sub(r'[,"\\]', "_", photo.stem) for photo in photos}
     if len(set(names.values())) < len(photos):
-        raise ValueError(f"names of files must differ, as they name the objectives, got {names}")
+        raise ValueError(f"names of photographs must differ, got {[*names.values()]}")
     found = detect_each(photos, detect_micrometer, session)
     images = {names[photo]: image for photo, (image, _) in found.items()}
     scales = {names[photo]: scale for photo, (_, scale) in found.items()}
