@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Unit and description of each scale.
 _SCALES = {
-    "spacing": ("µm", "distance between frames; by default from the file"),
+    "spacing": ("µm", "distance between frames, negative downwards; by default from the file"),
     "pixel_size": ("µm/px", "pixel size in the object plane; by default from the file"),
     "max_uncertainty": ("µm", "leave out heights whose stated uncertainty is larger"),
     "pitch": ("µm", "distance between the centers of neighboring marks, or side of a field"),
