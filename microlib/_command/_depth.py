@@ -107,12 +107,12 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("summary.json", text(json.dumps(summary, indent=2)))
     session.write("look.png", picture(result.plot))
     session.say(result)
-    known = np.isfinite(result.depth)
-    if not known.any():
+    finite = np.isfinite(result.depth)
+    if not finite.any():
         session.note("no height is known: frames must differ in focus and show texture")
-    elif (share := result.at_end[known].mean()) > 0.1:
+    elif (share := result.at_end[finite].mean()) > 0.1:
         session.note(f"{share:.0%} of the heights are at the first or last frame, or outside")
-    elif np.median(result.uncertainty[known]) > abs(scales["spacing"] or 1):
+    elif np.median(result.uncertainty[finite]) > abs(scales["spacing"] or 1):
         session.note("the uncertainty exceeds the spacing: are the frames in order of focus?")
     if a.register == "auto" and result.warps is None:
         session.say(
@@ -144,8 +144,8 @@ def _within(result: FocusResult, limit: float | None) -> FocusResult:
         return result
     as_scalar("max_uncertainty", limit, above=0)
     out = result.uncertainty > limit
-    fills = {"depth": np.nan, "uncertainty": np.nan, "confidence": 0, "index": -1}
-    maps = {name: np.where(out, fill, getattr(result, name)) for name, fill in fills.items()}
+    maps: dict[str, Any] = {"depth": np.nan, "uncertainty": np.nan, "confidence": 0, "index": -1}
+    maps = {name: np.where(out, fill, getattr(result, name)) for name, fill in maps.items()}
     return replace(result, **maps)
 
 
