@@ -143,7 +143,9 @@ def execute(
             if said := error_of(nbformat.read(made, as_version=4)):  # papermill lets them pass
                 message, passed = said, False
         except PapermillExecutionError as error:
-            message = one_line(f"{error.ename}: {error.evalue}")
+            # IPython prints the reason of a failing magic instead of raising an error.
+            said = f"{error.ename}: {error.evalue}"
+            message = one_line(said if error.evalue else printed_error(made) or said)
         except Exception as error:  # whatever happens to a kernel, other notebooks go on
             with log.open("a", encoding="utf-8") as file:
                 traceback.print_exc(file=file)
@@ -172,6 +174,14 @@ def error_of(notebook: NotebookNode) -> str:
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     errors = [output for output in outputs if output.output_type == "error"]
     return one_line(f"{errors[0].ename}: {errors[0].evalue}") if errors else ""
+
+
+def printed_error(executed: Path) -> str:
+    """Return the last line that a cell wrote to the error stream; nothing if none did."""
+    notebook = nbformat.read(executed, as_version=4)
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    lines = [o.text.strip().splitlines() for o in outputs if o.get("name") == "stderr"]
+    return lines[-1][-1] if lines and lines[-1] else ""
 
 
 def place_of_failure(notebook: NotebookNode) -> str:

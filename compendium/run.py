@@ -75,6 +75,7 @@ def main() -> int:
         names = choose(options.names)
         if options.own or options.output:
             return run_own(names, options.own, Path(options.output or "mine"))
+        reject_replaced_packages()
         with build_lock():
             build(names, options.jobs, force=options.force)
         failed = report_failures(names)
@@ -104,6 +105,15 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     options = parser.parse_intermixed_args(safe)
     options.own = [(name, value.removeprefix(" ")) for name, value in options.own]
     return options
+
+
+def reject_replaced_packages() -> None:
+    """Raise if PYTHONPATH replaces packages, since the book states the installed versions."""
+    folders = list(filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)))
+    replaced = {one.name for one in distributions(path=folders)} - {"microlib-thesis"}
+    if replaced:
+        names = ", ".join(sorted(replaced))
+        raise ValueError(f"PYTHONPATH must not replace installed packages, got one with {names}.")
 
 
 def choose(wanted: Sequence[str]) -> list[str]:

@@ -149,6 +149,7 @@ def test_failed_notebook_is_listed_and_others_run(project, start, capsys):
         ("import os; print(os.getcwd())", "FAILED: an output names a path of this machine"),
         ("import time; time.sleep(60)", "FAILED in cell source: CellTimeoutError: A cell timed"),
         ("import sys; sys.exit(0)", "FAILED in cell source: SystemExit: 0"),
+        ("%nothing", "FAILED in cell source: UsageError: Line magic function `%nothing` not found"),
     ],
 )
 def test_failures_are_reported_with_reason(project, monkeypatch, source, message):
@@ -166,6 +167,17 @@ def test_notebook_runs_if_folder_for_temporary_files_has_a_long_name(project, mo
     write_notebook(project, "01_first", "1")
     run.build(["01_first"], 1, force=False)
     assert run.failures() == {"06_last": "it was not run"}
+
+
+def test_packages_in_pythonpath_are_rejected(project, start, monkeypatch, capsys):
+    about = project / "own" / "numpy-1.0.dist-info" / "METADATA"
+    about.parent.mkdir(parents=True)
+    about.write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 1.0\n")
+    monkeypatch.setenv("PYTHONPATH", f"{project / 'own'}{os.pathsep}")
+    assert start() == 1
+    assert "PYTHONPATH must not replace installed packages, got one with numpy." in (
+        capsys.readouterr().err
+    )
 
 
 def test_second_run_waits_for_lock(project):
