@@ -299,7 +299,7 @@ class Errata(SphinxDirective):
             if claims := entry.get("claims", "").split():
                 rows = ledger.claims() | ledger.settings()
                 links = (html_link(rows[c].what, "claims", f"claim-{c}") for c in claims)
-                ways += f" Printed numbers: {', '.join(links)}."
+                ways += f" Printed numbers: {'; '.join(links)}."
             if name in places:
                 # The map makes a link of it.
                 ways += f" Formula: ({name.removeprefix('equation-')})."
