@@ -21,7 +21,7 @@ CLAIMS = ledger.claims().values()
 # What a new reader wants from the front page on: what is clicked or searched for, and then seen.
 TASKS = {
     "what was found": ("a formula for shallow dimples",),
-    "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "this narrow interval contains a round number"),
+    "is 1.3237 right": ("a[href$='#claim-table-5-6-e']", "narrow interval contains a round number"),
     "which erratum": ("?q=203610", "ul.search li a",
                       "#claim-table-5-1-square-4x-t-z a:text('erratum')", "Right:"),
     "which function": ("a[href$='#claim-table-5-6-e']", "#claim-table-5-6-e a:text('code')",
