@@ -91,7 +91,10 @@ def test_browser_warning_and_refusal_equal_library(try_page: Page) -> None:
     assert tool.locator(".try-warning").is_hidden()
     tool.get_by_label("Dimple depth (µm), exact").fill("5")
     assert "two thicknesses" in tool.locator(".try-warning").inner_text()
-    tool.get_by_label("Dimple depth (µm), exact").fill("2,9")
+    depth = tool.get_by_label("Dimple depth (µm), exact")
+    depth.fill("2,9")
+    assert depth.evaluate("field => field.validationMessage") == "Write a decimal point."
+    depth.fill("2.9")
     assert "as deep as the membrane is thick" in tool.locator(".try-answer").inner_text()
     tool.get_by_label("Probe half-width c (µm), exact").fill("300")
     assert "c must be below a" in tool.locator(".try-answer").inner_text()

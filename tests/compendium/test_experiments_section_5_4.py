@@ -81,12 +81,11 @@ def test_known_disturbance_is_identified(station, monkeypatch):
     monkeypatch.setattr(servo_disturbances, "printed_path", lambda *entry: made[entry])
     few = {label: servo_disturbances.DISTURBANCES[label], "none": ("", [(0.0, 0.0)])}
     monkeypatch.setattr(servo_disturbances, "DISTURBANCES", few)
-    table, numbers = servo_disturbances.compare(station)
-    assert table["disturbance"].tolist() == [label, "none"]
-    assert table["fitted"].iloc[0].split()[0] in {"10", "14", "20"}
-    assert table["deviation"].iloc[0] < 0.1 < 0.3 < table["deviation"].iloc[1]
-    logs = np.log(numbers[label]["fitted"] / numbers[label]["printed"])
-    assert np.sqrt(np.mean(logs**2)) == pytest.approx(table["deviation"].iloc[0])
+    strength, deviation, numbers = servo_disturbances.fit(station, label)
+    assert strength.split()[0] in {"10", "14", "20"}
+    assert deviation < 0.1 < 0.3 < servo_disturbances.fit(station, "none")[1]
+    logs = np.log(numbers["fitted"] / numbers["printed"])
+    assert np.sqrt(np.mean(logs**2)) == pytest.approx(deviation)
 
 
 def test_one_speed_and_one_common_tail_give_both_settling_times():
