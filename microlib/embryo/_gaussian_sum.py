@@ -166,22 +166,22 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     # The solver stops at gradients that are small in absolute numbers, so that the result would
     # depend on the unit of the outline. In all units the outline is fitted with one width.
     unit = span / _WIDTH
-    x, y = (x - low) / unit, y / unit
+    u, v = (x - low) / unit, y / unit
     lower = np.repeat([-np.inf, -_WIDTH, _MIN_WIDTH * _WIDTH], n)
     upper = np.repeat([np.inf, 2 * _WIDTH, 2 * _WIDTH], n)
 
     def search(start: Array, evaluations: int) -> OptimizeResult:
         return least_squares(
-            lambda parameters: _sum(x, parameters) - y,
+            lambda parameters: _sum(u, parameters) - v,
             start,
-            jac=lambda parameters: _jacobian(x, parameters),
+            jac=lambda parameters: _jacobian(u, parameters),
             bounds=(lower, upper),
             x_scale="jac",
             max_nfev=evaluations,
         )
 
     # In all but two of 110 outlines the better start after 50 evaluations also ends better.
-    start = min(_starts(x, y, n), key=lambda start: float(search(start, 50).cost))
+    start = min(_starts(u, v, n), key=lambda start: float(search(start, 50).cost))
     solution = search(start, 1500)
     a, b, c = solution.x.reshape(3, n)[:, np.argsort(solution.x[n : 2 * n])]
     return GaussianSum(unit * a, low + unit * b, unit * c, domain=(float(low), float(low + span)))
