@@ -110,8 +110,11 @@ def _select_pages(tiff: tifffile.TiffFile, choice: Choice) -> tuple[list[_Page],
     leading = len(axes) - len(keyframe.axes)
     if axes[leading:] != keyframe.axes:
         raise ValueError(f"its axes {axes} must end in rows Y and columns X")
-    # tifffile leaves out axes of length 1, of which the choice may name channel and time.
-    single = "".join(sorted({"C", "T"} & {*series[0].get_axes(squeeze=False)} - {*axes}))
+    # tifffile leaves out axes of length 1, of which the choice may name channel and time. Files of
+    # OME and ImageJ have both.
+    single = (
+        "".join(axis for axis in "CT" if axis not in axes) if tiff.is_ome or tiff.is_imagej else ""
+    )
     axes, shape, leading = single + axes, (1,) * len(single) + shape, len(single) + leading
     indices, axis = select_frames(axes[:leading], shape[:leading], choice)
     if tiff.is_shaped and axis == "Q":  # an array that was written as it was
