@@ -89,7 +89,7 @@ def calibrate(
     image_size : (int, int), optional
         Width and height of the image, px. Required for points; a detection contains the size.
 
-        Returns
+    Returns
     -------
     Calibration
         The `parameters` with their uncertainties, angles in radians, the `microscope`, and tests

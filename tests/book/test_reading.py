@@ -66,8 +66,8 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
         assert number_of(verdict.word) == number, verdict
 
 
-def test_no_sentence_stands_on_two_pages(html: Path) -> None:
-    """Each thing is told once; tables, which come from the ledger, may repeat it."""
+def test_no_sentence_is_repeated_on_another_page(html: Path) -> None:
+    """The cells of tables, which the build makes from the ledger, may be repeated."""
     pages = defaultdict(set)
     for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
         soup = BeautifulSoup(path.read_text("utf-8"), "html.parser")

@@ -88,7 +88,7 @@ def test_known_disturbance_is_identified(station, monkeypatch):
     assert np.sqrt(np.mean(logs**2)) == pytest.approx(deviation)
 
 
-def test_one_speed_and_one_common_tail_give_both_settling_times():
+def test_settling_times_of_both_zooms_follow_from_one_speed_and_one_rest():
     speed, rest = section_5_4.common_speed()
     for zoom in thesis.ZOOMS:
         time = 50 * thesis.effective_pixel(zoom) / speed + rest

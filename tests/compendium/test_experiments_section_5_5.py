@@ -101,7 +101,7 @@ def test_fit_is_better_and_wide_ridge_has_no_patches():
     assert (wide["crest-convex-cylindric"] > 0.5).all()
 
 
-def test_no_concave_pixel_lies_on_foot(ridge):
+def test_concave_pixels_are_not_at_the_foot_of_the_ridge(ridge):
     labels = section_5_5.thesis_labels(section_5_5.thesis_depth(ridge.frames, ridge.positions)[0])
     foot = np.flatnonzero(np.diff(ridge.height[0] > 0))
     assert not (labels[:, [*foot, *foot + 1]] == 8).any()

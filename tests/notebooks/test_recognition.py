@@ -44,7 +44,7 @@ def run_cell(mine: Path, labeled: Path, pixel_size: float | None) -> dict[str, o
 
 @pytest.mark.parametrize(("ending", "pixel_size"), [("ome.tif", None), ("npy", 4.0)])
 @pytest.mark.parametrize("part", PARTS)
-def test_a_map_of_the_reader_is_named_by_labeled_maps(tmp_path, part, ending, pixel_size):
+def test_part_in_own_height_map_is_named_by_labeled_maps(tmp_path, part, ending, pixel_size):
     for k, name in enumerate(PARTS):
         for seed in range(4):
             write(tmp_path / "labeled" / name / f"{seed}.{ending}", name, 10 * k + seed)
