@@ -192,7 +192,8 @@ def surface_curvature(
     pixel size, which determines the units of H and K and of their thresholds.
 
     The uncertainties assume that the errors of neighboring heights are independent. Heights of
-    `depth_from_focus` are smoothed over about 7 px, so the uncertainties are approximate for them.
+    `depth_from_focus` are smoothed with a Gaussian of σ = 7 px, so their errors are not independent
+    and the uncertainties are approximate.
     The uncertainty of a second derivative is `noise` times the root of the sum of the squared
     window coefficients, divided by the square of the pixel size. The uncertainty of H is computed
     to first order in the errors of the second derivatives, and the uncertainty of K to second

@@ -85,7 +85,7 @@ def calibrate(
         coordinate of its grid, which point right and down in the image.
     focal_length : float, optional
         Focal length f of the objective as the manufacturer states it, µm. By default f is
-        estimated, which needs a tilted pattern (see Notes). It needs `pixel_pitch`.
+        estimated, which needs a tilted pattern (see Notes). `focal_length` needs `pixel_pitch`.
     image_size : (int, int), optional
         Width and height of the image, px. Required for points; a detection contains the size.
 
@@ -117,8 +117,8 @@ def calibrate(
     *Without the pixel pitch* an image determines neither the magnification M nor the focal length.
     It determines M divided by the pixel pitch, which is the scale in px/µm, and the principal
     distance T_op + f in px, which OpenCV calls the focal length. These parameters are named
-    "px_per_um" and "principal_distance"; they replace "magnification" and "focal_length". κ is in
-    1/px² then, and κ₂ in 1/px⁴.
+    "px_per_um" and "principal_distance"; they replace "magnification" and "focal_length". The unit
+    of κ is then 1/px², and the unit of κ₂ is 1/px⁴.
 
     *Uncertainty.* The covariance accounts for
 
@@ -128,8 +128,8 @@ def calibrate(
     - the smooth part of the residuals that the noise does not explain, if a test finds such a lack
       of fit (p < 0.1).
 
-    It does not account for an error of `pitch`: if `pitch` is 1 % too large, M is 1 % too small,
-    and an estimated f is M/(1 + M) % too large.
+    The covariance does not account for an error of `pitch`: if `pitch` is 1 % too large, M is 1 %
+    too small, and an estimated f is M/(1 + M) % too large.
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
@@ -137,13 +137,13 @@ def calibrate(
     f (1 + M), an estimated f differs between views of different M. The result contains the f of
     the first view.
 
-    With several views, three more parameters are tried. Each is kept if it lowers the Bayesian
-    information criterion:
+    With several views, three extensions of the model are tried. Each is kept if it lowers the
+    Bayesian information criterion:
 
     - "distortion_k2" (1/µm⁴), a second coefficient of distortion, see
       :func:`microlib.microscope.undistort`;
-    - "principal_x" and "principal_y", the principal point in px from the middle of the image, which
-      is the principal point of a single view, as in the thesis;
+    - "principal_x" and "principal_y", the principal point in px from the middle of the image. A
+      single view has its principal point in the middle, as in the thesis;
     - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. It
       is kept only if it differs from 1 by more than 0.003.
 

@@ -130,10 +130,11 @@ def modulus_from_image(
     The function fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus by
     (5.2).
 
-    The interval of this modulus covers only the errors of the outline. It covers neither those of
-    the force, the thickness and the width of the probe, nor the choice of the model, which is often
-    the largest uncertainty: (5.2) assumes a uniform stress and small slopes. Use `model_interval`
-    of the result unless you know that (5.2) describes your dimple.
+    The interval of this modulus covers only the errors of the outline. The interval does not cover
+    the errors of the force, the thickness and the width of the probe. It does not cover the choice
+    of the model either, which is often the largest uncertainty: (5.2) assumes a uniform stress and
+    small slopes. Use `model_interval` of the result unless you know that (5.2) describes your
+    dimple.
 
     Parameters
     ----------

@@ -37,9 +37,9 @@ class ESMTracker:
 
     Efficient second-order minimization (ESM) [1]_ [2]_ aligns the template with each frame,
     starting from the expected pose. The template is then divided into blocks, which are compared
-    with the frame. If too many blocks differ by more than the noise, the alignment is repeated with
-    a model of varying light, blur and tone, which reduces the influence of hidden parts by Tukey's
-    weights [3]_. If this result is not accepted, further attempts start from other poses. Chapter 2
+    with the frame. If too many blocks differ by more than the noise, the alignment is continued
+    with a model of varying light, blur and tone. Tukey's weights [3]_ reduce the influence of
+    hidden parts. If this result is not accepted, further attempts start from other poses. Chapter 2
     of the book explains the attempts.
 
     The first result whose estimated probability of being right is at least 0.7 is accepted. If
