@@ -295,14 +295,14 @@ class Errata(SphinxDirective):
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
             proof = place_of_test(entry["test"], f'"{name}": (')
-            ways = f"Proof: a {html_link('test', *proof)}."
+            ways = f"{html_link('A test', *proof)} checks the proof."
             if claims := entry.get("claims", "").split():
                 rows = ledger.claims() | ledger.settings()
                 links = (html_link(rows[c].what, "claims", f"claim-{c}") for c in claims)
-                ways += f" Printed numbers: {'; '.join(links)}."
+                ways += f" The entry concerns: {'; '.join(links)}."
             if name in places:
                 # The map makes a link of it.
-                ways += f" Formula: ({name.removeprefix('equation-')})."
+                ways += f" The formula is ({name.removeprefix('equation-')})."
             lines = [f"**{entry['where']}.** *{entry['origin']}.*"]
             lines += ["", f"**Printed:** {entry['printed']}", ""]
             if reading := entry.get("reading"):
