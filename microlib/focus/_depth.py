@@ -182,11 +182,12 @@ def depth_from_focus(
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
     known = ((k, image) for k, image in enumerate(colors or grey) if k in kept)
-    images = (registration.aligned(f, k)[:] if registration else f for k, f in known)
+    images = (registration.aligned(f, k) if registration else f for k, f in known)
     del grey, used  # in color no longer needed
     return build_result(
         found,
-        replace(source, frames=images, positions=z[kept]),
+        images,
+        replace(source, positions=z[kept]),
         kept,
         registration=registration,
         margin=margin,

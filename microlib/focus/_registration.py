@@ -58,7 +58,7 @@ class Registration:
         how = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP  # up to half a pixel beyond is inside
         for k, warp in enumerate(self.warps[self.kept]):
             outside = cv2.warpAffine(full, warp, index.shape[::-1], flags=how) == 0
-            result |= outside & (np.abs(index - k) <= reach)
+            result |= outside & (index >= k - reach) & (index <= k + reach)
         return result
 
 
@@ -85,13 +85,22 @@ class AlignedFrame:
         return self.frame.shape
 
     def __getitem__(self, rows: slice) -> NDArray[np.float32]:
-        top, bottom, _ = rows.indices(len(self.frame))
+        height, width = self.shape[:2]
+        top, bottom, _ = rows.indices(height)
         warp = self.warp.copy()
+        # Only the rows that are shown are converted, and four on either side for the filter.
+        y = warp[1] @ [[0, width, 0, width], [top, top, bottom, bottom], [1, 1, 1, 1]]
+        first = int(np.clip(y.min() - 4, 0, height - 1))
+        last = int(np.clip(y.max() + 5, first + 1, height))
         warp[:, 2] += top * warp[:, 1]
-        image, size = self.frame.astype(np.float32), (self.shape[1], bottom - top)
+        warp[1, 2] -= first
+        image, size = self.frame[first:last].astype(np.float32), (width, bottom - top)
         flags, border = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP, cv2.BORDER_REPLICATE
-        result = cv2.warpAffine(image, warp, size, flags=flags, borderMode=border)
-        return np.asarray((result - np.float32(self.offset)) / np.float32(self.gain))
+        moved = cv2.warpAffine(image, warp, size, flags=flags, borderMode=border)
+        result = np.asarray(moved, np.float32)
+        result -= np.float32(self.offset)
+        result /= np.float32(self.gain)
+        return result
 
 
 def _ignore(share: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, FlatResult, Image, flat_row
 from microlib.focus._registration import Registration
-from microlib.focus.common import DepthMap, blur
+from microlib.focus.common import DepthMap, Frame, blur
 from microlib.io import Stack
+
+#: Rows that are blended at a time, and the reach of the weights of the all-in-focus image.
+_BAND, _REACH = 64, 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,6 +134,7 @@ class FocusResult(FlatResult):
 
 def build_result(
     found: DepthMap,
+    images: Iterable[Frame],
     stack: Stack,
     numbers: NDArray[np.intp],
     *,
@@ -144,9 +148,11 @@ def build_result(
     Parameters
     ----------
     found : DepthMap
-        Depth of every pixel.
-    stack : Stack
+        Depth of every pixel; its maps become those of the result.
+    images : iterable of ndarray
         Frames from which it was found, registered if they were; they are iterated once.
+    stack : Stack
+        Their positions, pixel size and type.
     numbers : ndarray of int, shape (n,)
         Number of each of these frames in the source, from which frames may be left out.
     registration : Registration or None
@@ -158,27 +164,30 @@ def build_result(
     unit : str
         Unit of the positions.
     """
-    image = composite(stack, len(numbers), found.frame, done)  # first, as it takes memory
-    known, index = np.isfinite(found.depth), found.frame.astype(np.int32, copy=False)
+    image = composite(images, stack, found.frame, lambda k: done(k / len(numbers)))
+    depth, uncertainty, index = found.depth, found.uncertainty, found.frame
+    known = np.isfinite(depth)
     warps = gain = offset = None
     if registration is not None:
-        known &= ~registration.outside(np.where(known, index, -1))
+        known &= ~registration.outside(index)
         warps, gain, offset = registration.warps, registration.gain, registration.offset
     known &= ~margin
     # A depth within half a frame spacing of an end of the scan may lie beyond it: it is as
     # uncertain as a random depth.
     z = np.asarray(stack.positions)
     low, high = np.float32(z.min()), np.float32(z.max())
-    depth, uncertainty = found.depth[found.at_end], found.uncertainty.copy()
-    beyond = np.minimum(depth - low, high - depth) < found.spacing / 2
+    end = depth[found.at_end]
+    beyond = np.minimum(end - low, high - end) < found.spacing / 2
     random = np.where(beyond, (high - low) / np.float32(np.sqrt(12)), 0)
     uncertainty[found.at_end] = np.hypot(uncertainty[found.at_end], random)
+    depth[~known] = uncertainty[~known] = np.nan
+    confidence = np.square(uncertainty / np.float32(found.spacing))
+    np.divide(1, confidence + 1, out=confidence)
+    confidence[~known] = 0
     return FocusResult(
-        depth=np.where(known, found.depth, np.float32(np.nan)),
-        uncertainty=np.where(known, uncertainty, np.float32(np.nan)),
-        confidence=np.where(
-            known, 1 / (1 + np.square(uncertainty / np.float32(found.spacing))), np.float32(0)
-        ),
+        depth=depth,
+        uncertainty=uncertainty,
+        confidence=confidence,
         index=np.where(known, numbers.astype(np.int32)[index], np.int32(-1)),
         all_in_focus=image,
         at_end=found.at_end,
@@ -191,7 +200,7 @@ def build_result(
 
 
 def composite(
-    stack: Stack, count: int, index: NDArray[np.integer], done: Callable[[float], object]
+    images: Iterable[Frame], stack: Stack, index: NDArray[np.integer], done: Callable[[int], object]
 ) -> Image:
     """Return the frames blended by the number of each pixel's frame, in the type of the stack.
 
@@ -199,11 +208,16 @@ def composite(
     Without this mean, the differences of grey levels between neighbors are wrong by 40 % more where
     the number changes than elsewhere, and by three times as much in light that varies by 10 %.
     """
-    total, number = np.zeros(stack.first.shape, np.float32), index.astype(np.uint16)
-    for k, frame in enumerate(stack):
-        weight = blur((number == k).astype(np.float32), 2.0)
-        total += (weight[..., None] if stack.color else weight) * frame
-        done((k + 1) / count)
+    total = np.zeros(stack.first.shape, np.float32)
+    for k, frame in enumerate(images):
+        for top in range(0, len(total), _BAND):
+            start = max(top - _REACH, 0)
+            here = index[start : top + _BAND + _REACH] == k
+            if here.any():
+                rows = slice(top, top + _BAND)
+                weight = blur(here.astype(np.float32), 2.0)[top - start :][: len(total[rows])]
+                total[rows] += (weight[..., None] if stack.color else weight) * frame[rows]
+        done(k + 1)
     return as_type(total, stack.dtype)
 
 
@@ -212,4 +226,4 @@ def as_type(image: Image, dtype: np.dtype) -> Image:
     if image.dtype == dtype or dtype.kind not in "ui":
         return image.astype(dtype, copy=False)
     ends = np.iinfo(dtype)
-    return np.clip(np.rint(image), ends.min, ends.max).astype(dtype)
+    return np.clip(np.rint(image, out=image), ends.min, ends.max, out=image).astype(dtype)

@@ -76,22 +76,24 @@ def _enlarged(
     unknown = np.isnan(refined.depth)
     filled, relief = fill_nearest(refined.depth), np.where(unknown, 0, refined.relief)
     order, middle = np.argsort(axis.positions), (axis.ends[:-1] + axis.ends[1:]) // 2
+    depth, error = (np.empty(shape, np.float32) for _ in range(2))
+    frame, at_end = np.empty(shape, np.int32), np.empty(shape, bool)
 
-    def band(top: int) -> tuple[NDArray, ...]:
+    def enlarge(top: int) -> None:
         start = max(top - 2, 0)  # two rows are the reach of the interpolation
-        own = slice(2 * (top - start), 2 * (top - start + _BAND))
+        here = slice(2 * top, min(2 * (top + _BAND), shape[0]))
+        own = slice(here.start - 2 * start, here.stop - 2 * start)
 
         def full(half: NDArray, how: int = cv2.INTER_LINEAR) -> NDArray:
             return doubled(half[start : top + _BAND + 2], shape, how)[own]
 
-        depth = axis.micrometers(full(filled) + full(relief, cv2.INTER_CUBIC))
-        depth[full(unknown.astype(np.uint8), cv2.INTER_NEAREST) > 0] = np.nan
-        error = full(refined.error) * np.float32(axis.spacing)
+        depth[here] = axis.micrometers(full(filled) + full(relief, cv2.INTER_CUBIC))
+        depth[here][full(unknown.view(np.uint8), cv2.INTER_NEAREST) > 0] = np.nan
+        error[here] = full(refined.error) * np.float32(axis.spacing)
         number = full(best, cv2.INTER_NEAREST)
-        nearest = np.rint(np.interp(depth, axis.positions[order], order))
-        frame = np.where(np.isfinite(depth), nearest, middle[number]).astype(np.int32)
-        return depth, error, frame, (number == 0) | (number == len(axis.coordinates) - 1)
+        nearest = np.rint(np.interp(depth[here], axis.positions[order], order))
+        frame[here] = np.where(np.isfinite(depth[here]), nearest, middle[number])
+        at_end[here] = (number == 0) | (number == len(axis.coordinates) - 1)
 
-    bands = zip(*spread(band, range(0, len(filled), _BAND)), strict=True)
-    depth, error, frame, at_end = (np.concatenate(parts)[: shape[0]] for parts in bands)
+    list(spread(enlarge, range(0, len(filled), _BAND)))
     return DepthMap(depth, error, frame, at_end, axis.spacing)
