@@ -199,8 +199,7 @@ def test_capsule_modulus_inverts_indent_capsule_for_printed_dimple(
     assert found.inflation == pytest.approx(inflation, abs=1e-3)
     assert 1e3 * found.state.pressure == pytest.approx(1.0295, rel=1e-5)
     state = indent_capsule(force, modulus=found.modulus, inflation=found.inflation, **shell)
-    assert state.depth == pytest.approx(depth, rel=1e-6)
-    assert state.rim_radius == pytest.approx(a, rel=1e-6)
+    assert (state.depth, state.rim_radius) == pytest.approx((depth, a), rel=1e-6)
     assert found.state.depth == pytest.approx(depth, rel=1e-9)
 
 
@@ -233,7 +232,7 @@ def test_exponents_are_slopes_of_logarithm_of_modulus() -> None:
 
 @pytest.mark.parametrize(
     ("half_width", "inflation", "force"),
-    [(40.0, 1.03, 20.0), (60.0, 1.03, 40.0), (40.0, 1.05, 30.0), (60.0, 1.02, 30.0)],
+    [(60.0, 1.03, 40.0), (40.0, 1.05, 30.0)],
 )
 def test_dimple_of_two_capsules_is_rejected(
     half_width: float, inflation: float, force: float

@@ -69,6 +69,8 @@ def test_state_joins_probe_and_rim_with_level_tangent() -> None:
     assert (state.r[0], state.r[-1]) == pytest.approx((C, A))
     assert (state.z[0], state.z[-1]) == (pytest.approx(-state.depth), 0)
     assert state.pressure == pytest.approx(F / (np.pi * A**2))
+    given = indent_disc(F, A, modulus=1.3, pressure=F / (np.pi * A**2), **DISC)
+    assert given.depth == pytest.approx(state.depth, rel=1e-9)
     # The pressure carries the whole force at the rim.
     slope = (state.z[-1] - state.z[-2]) / (state.r[-1] - state.r[-2])
     assert slope == pytest.approx(0, abs=5e-3)
@@ -81,8 +83,8 @@ def test_tight_disc_is_a_linear_spring() -> None:
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
 
 
-@pytest.mark.parametrize("narrow", [0.005, 0.002, 0.001])
-@pytest.mark.parametrize("steepness", [0.005, 0.01, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("narrow", [0.005, 0.001])
+@pytest.mark.parametrize("steepness", [0.005, 0.02, 0.1])
 def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float) -> None:
     # At these depths a thicker disc resists by bending.
     thin = H / 10
@@ -97,8 +99,3 @@ def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float)
         shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (thin * (steepness * A) ** 3)
         # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
         assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
-
-
-def test_default_pressure_is_that_which_balances_the_force() -> None:
-    given = indent_disc(F, A, modulus=1.3, pressure=F / (np.pi * A**2), **DISC)
-    assert indent_disc(F, A, modulus=1.3, **DISC).depth == pytest.approx(given.depth, rel=1e-9)
