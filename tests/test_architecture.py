@@ -85,37 +85,29 @@ def test_packages_import_only_allowed_packages(path):
         assert not inner, f"{room} reaches into {other}: {name}"
 
 
-#: Packages with what goes beyond the thesis' own method, and the file of the core that uses each.
+#: Packages with what goes beyond the thesis' own method: the file of the core that uses each, and
+#: the package that it shares with the core.
 EXTENSIONS = {
-    "calibration": ("adequacy", "_calibrate.py"),
-    "focus": ("multiscale", "_depth.py"),
-    "membrane": ("large", "__init__.py"),
+    "calibration/adequacy": ("_calibrate.py", ""),
+    "focus/multiscale": ("_depth.py", "common"),
+    "membrane/large": ("__init__.py", ""),
 }
 
 
-@pytest.mark.parametrize("room", EXTENSIONS)
-def test_a_core_refers_to_its_extension_in_one_place(room):
-    extension, face = EXTENSIONS[room]
-    users = {
-        path.name
-        for path in (PACKAGE / room).glob("*.py")
-        if any(name.startswith(f"microlib.{room}.{extension}") for name in imported(path))
-    }
-    assert users == {face}
+@pytest.mark.parametrize("package", EXTENSIONS)
+def test_a_core_uses_its_extension_in_one_place_which_uses_no_core(package):
+    room, _, extension = package.partition("/")
+    face, shared = EXTENSIONS[package]
 
+    def used(path: Path) -> set[str]:
+        """Return the parts of the room that a file imports."""
+        names = (name.partition(f"microlib.{room}.") for name in imported(path))
+        return {rest.split(".")[0] for before, _, rest in names if rest and not before}
 
-#: Folders of what a core and its extension share.
-SHARED = {"focus": "common"}
-
-
-@pytest.mark.parametrize("room", SHARED)
-def test_extension_imports_no_core_and_shared_code_imports_neither(room):
-    extension, shared = EXTENSIONS[room][0], SHARED[room]
-    for folder, allowed in ((extension, {extension, shared}), (shared, {shared})):
-        for path in sources(PACKAGE / room / folder):
-            for name in imported(path):
-                first, _, rest = name.partition(f"microlib.{room}.")
-                assert first or rest.split(".")[0] in allowed, f"{path.name} imports {name}"
+    assert {p.name for p in (PACKAGE / room).glob("*.py") if extension in used(p)} == {face}
+    if shared:
+        assert set().union(*map(used, sources(PACKAGE / package))) <= {extension, shared}
+        assert set().union(*map(used, sources(PACKAGE / room / shared))) <= {shared}
 
 
 #: Imports of private modules by tests and benchmarks; each is to go where a public name shows the

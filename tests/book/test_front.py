@@ -6,14 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from playwright.sync_api import Browser, Page
 
 from compendium import ledger
 from compendium.experiments.section_5_6 import printed_dimple
 from tests.book.browsing import hindrances, open_page
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def modulus(text: str) -> float:
@@ -93,14 +90,3 @@ def test_front_figure_is_static_without_scripts(browser: Browser, html: Path) ->
     assert figure.locator("form").is_hidden()
     assert "E = 1.324 MPa" in figure.locator(".told").inner_text()
     page.close()
-
-
-def test_author_and_title_agree_in_all_files(html: Path) -> None:
-    config = yaml.safe_load((ROOT / "book" / "_config.yml").read_text("utf-8"))
-    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
-    assert cited["authors"] == [{"name": config["author"]}]
-    text = (html / "intro.html").read_text("utf-8")
-    title = config["title"]
-    assert f"<h1>{title}" in text
-    assert cited["title"] == title
-    assert (ROOT / "README.md").read_text("utf-8").startswith(f"# {title}\n")

@@ -101,19 +101,6 @@ def test_fit_is_better_and_wide_ridge_has_no_patches():
     assert (wide["crest-convex-cylindric"] > 0.5).all()
 
 
-def test_concave_pixels_are_not_at_the_foot_of_the_ridge(ridge):
-    labels = section_5_5.thesis_labels(section_5_5.thesis_depth(ridge.frames, ridge.positions)[0])
-    foot = np.flatnonzero(np.diff(ridge.height[0] > 0))
-    assert not (labels[:, [*foot, *foot + 1]] == 8).any()
-
-
-def test_smooth_ball_has_fewer_cylindric_pixels():
-    scenes = section_5_5.describe_scenes(9, 1)
-    kinds = ("smooth-printed", "printed")
-    smooth, rough = (scenes[name]["ball-top-cylindric"].item() for name in kinds)
-    assert smooth < 0.5 * rough
-
-
 def test_sentences_fail_with_corrected_window_as_their_rows_say():
     scenes = section_5_5.describe_scenes(5, 5)
     corrected = scenes["corrected"]

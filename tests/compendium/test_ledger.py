@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from compendium import ledger
-from compendium.figures.style import COLORS
 
 ROOT = Path(__file__).resolve().parents[2]
 CLAIMS = list(ledger.claims().values())
@@ -60,23 +59,6 @@ def test_each_kind_has_its_own_comparison(kind, fields, numbers, passes):
             make(kind, **fields)
     else:
         assert (make(kind, **fields).objection(*numbers) == "") == passes
-
-
-def test_setting_is_recovered_or_not():
-    one = ledger.Setting(id="x", what="", where="", printed="2.50")
-    assert one.objection(2.4, 2.3, 2.5) == ""
-    assert "does not contain" in one.objection(2.4, 2.3, 2.49)
-    assert "larger than the printed number" in one.objection(2.5, -0.1, 5.1)
-
-
-def test_verdicts_have_kinds_signs_and_colors():
-    assert {verdict.word for verdict in ledger.Verdict} == set(ledger.KINDS)
-    css = (ROOT / "book" / "_static" / "thesis.css").read_text("utf-8")
-    for verdict in ledger.Verdict:
-        assert ledger.KINDS[verdict.word].verdict is verdict
-        assert verdict.color in COLORS
-        assert f".verdict-{verdict.word} {{ background: #" in css
-    assert len({one.sign for one in ledger.Verdict} | {SETTINGS[0].sign}) == 5
 
 
 @pytest.mark.parametrize(
@@ -182,11 +164,6 @@ def test_mismatch_is_recorded_on_request(monkeypatch):
     monkeypatch.setenv(ledger.RECORD_MISMATCHES, "1")
     said = ledger.check("table-5.6/w_d", 120.0).verdict
     assert said == "follows: it differs by more than the rounding of the printed numbers"
-
-
-def test_number_that_stands_twice_is_the_same():
-    printed = {name: ledger.claim(name).printed for name in ("table-5.6/E",)}
-    assert ledger.claim("section-5.6/E-from-table-5.5").printed == printed["table-5.6/E"]
 
 
 def test_records_are_written_and_read(tmp_path):

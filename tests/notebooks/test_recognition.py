@@ -9,7 +9,6 @@ import pytest
 import tifffile
 
 from compendium.experiments import recognition
-from compendium.parameters import read_values
 from microlib.io import write_height_tiff
 
 NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "08_recognition.ipynb"
@@ -77,15 +76,3 @@ def test_a_map_without_a_pixel_size_asks_for_it(tmp_path):
     write(tmp_path / "labeled" / "cone" / "1.npy", "cone", 1)
     with pytest.raises(ValueError, match=r"pixel_size must be given, as 1\.npy does"):
         run_cell(tmp_path / "mine.npy", tmp_path / "labeled", None)
-
-
-def test_the_printed_command_is_one_that_the_runner_understands(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "part.ome.tif").touch()
-    (tmp_path / "my_parts").mkdir()
-    command = re.search(r"```sh\n(.*?)```", CELLS["rec-21"], re.S)
-    assert command
-    words = command[1].replace("\\\n", " ").split()
-    given = [(words[k + 1], words[k + 2]) for k, word in enumerate(words) if word == "-p"]
-    values = read_values(NOTEBOOK, given)
-    assert values == {"mine": "part.ome.tif", "labeled": "my_parts", "noise": 1.5}
