@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -146,6 +146,8 @@ def test_back_projection_undoes_projection(
 
 
 @given(st.integers(-99, 99), st.integers(-99, 99), st.floats(0, 5000), angles)
+@example(-99, 4, 7000.0, 0.3)  # near the fold the radius is half as long again
+@example(-99, 5, 9000.0, 0.3)  # and twice as long where κ₂ takes the fold away
 @settings(deadline=None, max_examples=300)
 def test_distort_and_undistort_are_inverse_with_two_coefficients(k1, k2, radius, angle):
     """The radius grows up to the fold, where 1 + 3 κ r² + 5 κ₂ r⁴ is zero; no point is beyond."""

@@ -184,8 +184,9 @@ def test_unknown_noise_gives_no_uncertainties_and_needs_thresholds():
     assert np.isnan(found.mean_uncertainty).all()
     assert np.isnan(found.gaussian_uncertainty).all()
     assert len(repr(found)) < 200
-    with pytest.raises(ValueError, match="must be given the noise of the heights"):
-        hk_labels(found)
+    for one in ({}, {"h_zero": 1e-4}, {"k_zero": 1e-6}):
+        with pytest.raises(ValueError, match="must be given the noise of the heights"):
+            hk_labels(found, **one)
     by_hand = hk_labels(found, h_zero=1e-4, k_zero=1e-6)
     np.testing.assert_array_equal(by_hand, hk_labels(found.mean, found.gaussian, 1e-4, 1e-6))
     with pytest.raises(ValueError, match="gaussian must not be given with a Curvature"):

@@ -56,12 +56,13 @@ def test_noise_at_white_and_black_is_cut_off():
         assert np.mean(frame == level) > 0.4
 
 
-def test_blur_grows_with_the_distance_from_focus():
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("height", [5.0, 12.0, -2.0], ids=["between", "above", "below"])
+def test_blur_grows_with_the_distance_from_focus(height):
+    rng, positions = np.random.default_rng(0), [0.0, 5.0, 10.0]
     texture = synthetic.mixed_texture(SHAPE, rng)
-    stack = synthetic.focal_stack(texture, np.full(SHAPE, 5.0), [0.0, 5.0, 10.0], blur_rate=0.3)
-    for frame, distance in zip(stack, (5.0, 0.0, 5.0), strict=True):
-        sigma = np.hypot(0.5, 0.3 * distance)
+    stack = synthetic.focal_stack(texture, np.full(SHAPE, height), positions, blur_rate=0.3)
+    for frame, position in zip(stack, positions, strict=True):
+        sigma = np.hypot(0.5, 0.3 * (height - position))
         peer = cv2.GaussianBlur(texture, (31, 31), sigma, borderType=cv2.BORDER_REFLECT)
         # Half a grey level of rounding and what the ladder of blurs leaves.
         assert np.abs(frame - np.clip(peer, 0, 255)).max() < 0.8
