@@ -13,14 +13,7 @@ from scipy.spatial import cKDTree
 from microlib import calibration
 from microlib.calibration import Calibration, calibrate, detect_micrometer, stage_affine
 from tests.calibration import test_boards
-from tests.checks import (
-    each_view,
-    hold_call,
-    hold_refused,
-    hold_scaled,
-    no_array,
-    not_finite,
-)
+from tests.checks import each_view, hold_call, hold_refused, hold_scaled, no_array, not_finite
 from tests.scenes.calibration import MOVES, PHOTOGRAPHS, SCOPE, SENSOR, grid_in_view
 
 WORLD = grid_in_view(SCOPE)[::3]

@@ -59,8 +59,7 @@ def test_three_moves_have_nan_uncertainty():
 
 
 @pytest.mark.parametrize(
-    ("given", "name"),
-    [({"stage": MOVES * [1, 0]}, "stage"), ({"image": MOVES * [0, 1]}, "image")],
+    ("given", "name"), [({"stage": MOVES * [1, 0]}, "stage"), ({"image": MOVES * [0, 1]}, "image")]
 )
 def test_moves_on_one_line_are_rejected(given, name):
     with pytest.raises(ValueError, match=name):

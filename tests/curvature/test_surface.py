@@ -201,10 +201,7 @@ def test_unknown_noise_gives_no_uncertainties_and_needs_thresholds():
 def test_default_thresholds_are_three_and_a_half_uncertainties():
     rough = SURFACES["sphere"][0] + np.random.default_rng(6).normal(0, 0.05, X.shape)
     found = surface_curvature(rough, SIDES, noise=0.05)
-    given = {
-        "h_zero": 3.5 * found.mean_uncertainty,
-        "k_zero": 3.5 * found.gaussian_uncertainty,
-    }
+    given = {"h_zero": 3.5 * found.mean_uncertainty, "k_zero": 3.5 * found.gaussian_uncertainty}
     assert {1, 2, 5} <= set(np.unique(hk_labels(found)))
     np.testing.assert_array_equal(hk_labels(found), hk_labels(found, **given))
 

@@ -235,10 +235,7 @@ REMOVED = r"read from .*frame 3\.png: no such file"
 
 @pytest.mark.parametrize(
     ("write", "change", "words"),
-    [
-        (scan, remove_picture, REMOVED),
-        (names, remove_picture, REMOVED),
-    ],
+    [(scan, remove_picture, REMOVED), (names, remove_picture, REMOVED)],
 )
 def test_source_that_changes_while_it_is_read_is_rejected(stack, tmp_path, write, change, words):
     frames = iter(read_frames(write(tmp_path, stack[:4])))

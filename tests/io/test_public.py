@@ -9,14 +9,7 @@ import tifffile
 from microlib.focus import depth_from_focus
 from microlib.io import Stack, read_frames, read_grey, write_height_tiff, write_ply, write_stl
 from microlib.synthetic import focal_stack, mixed_texture
-from tests.checks import (
-    BROKEN,
-    hold_call,
-    hold_refused,
-    hold_scaled,
-    no_array,
-    no_map,
-)
+from tests.checks import BROKEN, hold_call, hold_refused, hold_scaled, no_array, no_map
 from tests.scenes.files import read_ply, read_stl
 
 SHAPE = (29, 41)
