@@ -16,14 +16,20 @@ from scipy.stats import t as student
 
 from microlib.calibration import (
     Calibration,
-    Detection,
     calibrate,
     detect_squares,
     linear_intrinsics,
     radial_alignment,
 )
 from microlib.microscope import Microscope
-from tests.scenes.calibration import SCOPE, SENSOR, grid_in_view, imperfect_projection
+from tests.scenes.calibration import (
+    SCOPE,
+    SENSOR,
+    detection_of,
+    grid_in_view,
+    imperfect_projection,
+    seen_by_opencv,
+)
 
 F, M = SCOPE.focal_length, SCOPE.magnification
 POSE = ("alpha", "beta", "gamma", "tx", "ty")
@@ -252,9 +258,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
     world = 200.0 * np.round((grid - grid.mean(axis=0)) @ [[0, 1], [-1, 0]])
     groups = np.arange(48) // 4
     image = noisy(scope.project(world), 2) + noisy(np.zeros((12, 2)), 3)[groups]
-    whole = Detection(
-        image, grid, np.full(48, NOISE), groups, world / 400, 0.5, 1.0, SENSOR["image_size"]
-    )
+    whole = detection_of(world / 400, image, groups=groups, image_size=SENSOR["image_size"])
 
     def left_out(*which):
         kept = ~np.isin(groups, which)
@@ -313,7 +317,7 @@ def test_tilt_is_undetermined_if_its_sign_is():
     f = 4e7
     scope = Microscope(1.6 * f, f, f / 1.6, 0.0, 0.3, 0.15, 0.1, 20, 30, **SENSOR)
     world = grid_in_view(scope)
-    for seed in range(5):
+    for seed in range(2):
         found = calibrate(world, noisy(scope.project(world), seed), focal_length=f, **SENSOR)
         assert {"beta", "gamma"} <= set(found.undetermined)
         assert np.isinf(found.parameters["beta"].uncertainty)
@@ -333,13 +337,8 @@ LINE = np.column_stack([np.arange(9.0), 2 * np.arange(9.0)])
 def detection(scope):
     """The detection of a grid of 280 µm, without errors."""
     world = grid_in_view(scope)
-    grid = np.round((world - world.min(axis=0)) / 280).astype(int)
-    ones = np.ones(len(grid))
-    return Detection(
-        points=scope.project(world), grid=grid, uncertainty=NOISE * ones,
-        group=np.arange(len(grid)), positions=grid + 0.25, side=np.nan, normalized_rms=1.0,
-        image_size=scope.image_size,
-    )  # fmt: skip
+    positions = (world - world.min(axis=0)) / 280 + 0.25
+    return detection_of(positions, scope.project(world), image_size=scope.image_size)
 
 
 def test_detections_need_only_pitch_and_pixel_pitch():
@@ -430,11 +429,10 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
     assert sigma["lacking"] > 2 * sigma["exact"]
 
 
-@pytest.mark.parametrize("distortion", [0.05, 0.1])
-def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large(distortion):
+def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large():
     """An earlier version rejected half of them, as the linear κ was outside the model's domain."""
-    wide = {"principal": 210.0, "spacing": 36.0, "tilt": 0.7, "k1": distortion}
-    for seed in range(20):
+    for seed in range(16):
+        wide = {"principal": 210.0, "spacing": 36.0, "tilt": 0.7, "k1": 0.05 * (1 + seed % 2)}
         found = calibrate(*lens_views(1, **wide, seed=seed), **CAMERA)
         # OpenCV draws with Brown's polynomial, which is not the inverse of (2.10).
         assert found.reprojection.rms < 1.5
@@ -520,12 +518,8 @@ def test_principal_point_is_found_beside_a_large_second_coefficient():
     rng = np.random.default_rng(0)
     pattern = np.stack(np.meshgrid(65.0 * np.arange(12), 65.0 * np.arange(9)), -1).reshape(-1, 2)
     world, image = [], []
-    for alpha, beta, gamma in [
-        (0.1, 0.2, 0.15),
-        (0.3, 0.1, -0.3),
-        (-0.4, -0.2, -0.2),
-        (0.2, 0.3, 0.0),
-    ]:
+    angles = [(0.1, 0.2, 0.15), (0.3, 0.1, -0.3), (-0.4, -0.2, -0.2), (0.2, 0.3, 0.0)]
+    for alpha, beta, gamma in angles:
         pose = {"alpha": alpha, "beta": beta, "gamma": gamma, "tx": -330.0, "ty": -250.0}
         seen = Microscope(2e5, 4e4, 8e3, **pose, **lens, **camera).project(pattern)
         inside = ((seen > 0) & (seen < (800, 599))).all(axis=1)
@@ -536,11 +530,6 @@ def test_principal_point_is_found_beside_a_large_second_coefficient():
     for estimate, truth in zip(principal, lens["principal_offset"], strict=True):
         assert abs(estimate.value - truth) < 4 * estimate.uncertainty < 4
     assert found.adequate
-
-
-def test_marks_of_two_views_share_their_printed_errors():
-    world, image = lens_views(2, shift=0.8)
-    assert calibrate(world, image, **CAMERA).dof == 11 * 8 - 1
 
 
 def test_bic_leaves_out_needless_lens_parameters():
@@ -603,30 +592,13 @@ def test_print_that_is_not_square_is_named_with_the_ratio_that_mends_it():
     assert not found.adequate
     assert "the print is not square: ratio 1.020" in repr(found)
     assert np.median(found.held_out) > 0.5
-    boards = [
-        Detection(
-            points=points, grid=np.round(w / 280 + [5, 3.5]).astype(int), positions=w / 280,
-            uncertainty=np.ones(len(w)), group=np.arange(len(w)), side=np.nan, normalized_rms=1.0,
-            image_size=(640, 480),
-        )
-        for w, points in zip(world, image, strict=True)
-    ]  # fmt: skip
+    boards = [detection_of(w / 280, points) for w, points in zip(world, image, strict=True)]
     mended = calibrate(boards, pitch=(280, 280 * found.print_aspect), pixel_pitch=8.0)
     assert mended.adequate
     assert mended.print_aspect == 1
     assert np.median(mended.held_out) < 1.2 * NOISE * np.sqrt(2)
     assert "square" not in repr(mended)
     assert "square" not in repr(calibrate(*lens_views(4, bend=60.0), **CAMERA))
-
-
-@pytest.mark.parametrize("count", [3, 6])
-def test_inconsistent_view_has_the_largest_held_out_error(count):
-    world, image = lens_views(count, aside=(14, -9))
-    world[2], _ = skipped(world[2], image[2], None)
-    found = calibrate(world, image, **CAMERA)
-    assert found.held_out[2] > 10
-    assert np.delete(found.held_out, 2).max() < 1
-    assert not found.adequate
 
 
 def skipped(world, image, rng):
@@ -673,6 +645,9 @@ def test_inconsistent_views_are_named_up_to_half_of_them(fault, count, wrong):
     found = calibrate(world, image, **CAMERA)
     assert list(found.inconsistent) == wrong
     assert "inconsistent, to be left out: view" in repr(found)
+    assert not found.adequate
+    if fault is skipped and count == 3:  # the error of 2/3 of the board's size
+        assert found.held_out[2] > 10 > 1 > found.held_out[:2].max()
     right = np.setdiff1d(range(count), wrong)
     rest = calibrate([world[v] for v in right], [image[v] for v in right], **CAMERA)
     assert rest.inconsistent == ()
@@ -735,22 +710,15 @@ def hold_residuals(found, world, image, *, deviation=0.05):
     assert again.views == found.views
     # The files lead OpenCV to the same residuals.
     camera = json.loads(found.to_json())["opencv"]
-    lens = [np.array(camera[name]) for name in ("camera_matrix", "distortion_coefficients")]
-    left = []
-    for k, (points, seen) in enumerate(zip(world, image, strict=True)):
-        pose = [
-            np.array(camera[name][k]) for name in ("rotation_vectors", "translation_vectors_um")
-        ]
-        flat = np.column_stack([points, 0 * points[:, 0]])
-        left.append(seen - cv2.projectPoints(flat, *pose, *lens)[0][:, 0])
+    left = [i - seen for i, seen in zip(image, seen_by_opencv(camera, world), strict=True)]
     allowed = camera["distortion_model_error_px"] + 1e-6
     np.testing.assert_allclose(np.concatenate(left), found.residuals, atol=allowed)
     assert allowed < deviation
 
 
-@pytest.mark.parametrize("views", [1, 10])
+@pytest.mark.parametrize("views", [1, 6])
 def test_residuals_of_photographs_are_those_of_the_views(views):
-    """Ten photographs of a chessboard, whose lens has all terms of the model."""
+    """Photographs of a chessboard, whose lens has all terms of the model."""
     files = sorted(CHESSBOARD.glob("*.jpg"))[:views]
     boards = [detect_squares(cv2.imread(str(f), 0), pattern="chessboard") for f in files]
     found = calibrate(boards, pitch=1.0)
@@ -774,15 +742,15 @@ def test_principal_distance_and_scale_need_no_pixel_pitch():
         assert "magnification" not in repr(found)
         assert "focal" not in repr(found)
         assert "px (95 %" in repr(found)
-        known = calibrate(world, image, image_size=scope.image_size, pixel_pitch=9.9)
-        for name in ("um_per_pixel", "principal_distance"):
-            one, other = (vars(getattr(each, name)) for each in (found, known))
-            assert one.pop("unit") == other.pop("unit")
-            np.testing.assert_allclose(list(one.values()), list(other.values()), rtol=1e-4)
         truth = {"um_per_pixel": 9.9 / M, "principal_distance": scope.principal_distance[0]}
         spans = {name: getattr(found, name) for name in truth}
         inside += [spans[name].low <= truth[name] <= spans[name].high for name in truth]
     assert np.mean(inside) >= 0.88  # of 80, 95 % with a probability of a thousandth
+    known = calibrate(world, image, image_size=scope.image_size, pixel_pitch=9.9)
+    for name in truth:
+        one, other = (vars(getattr(each, name)) for each in (found, known))
+        assert one.pop("unit") == other.pop("unit")
+        np.testing.assert_allclose(list(one.values()), list(other.values()), rtol=1e-4)
     # With a given focal length the principal distance follows from the magnification.
     given = calibrate(
         world, scope.project(world), image_size=scope.image_size, pixel_pitch=9.9, focal_length=F

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
 from microlib.calibration import Calibration, calibrate, stage_affine
 from tests.checks import hold_coverage
-from tests.scenes.calibration import MOVES, SCOPE, SENSOR, grid_in_view
+from tests.scenes.calibration import MOVES, SCOPE, SENSOR, grid_in_view, seen_by_opencv
 
 
 def turned(scale, angle, *, mirrored=False):
@@ -66,63 +65,48 @@ def test_moves_on_one_line_are_rejected(given, name):
         stage_affine(**({"stage": MOVES, "image": MOVES} | given))
 
 
-def test_json_describes_the_camera_to_other_programs():
-    """Two views through one lens with all terms, and with sensor pixels that are not square."""
-    scope = replace(SCOPE, principal_offset=(3.0, -2.0), distortion_k2=-3e-17)
-    scopes = [scope, replace(scope, alpha=-0.4, beta=-0.25, gamma=0.1)]
-    worlds = [grid_in_view(each) for each in scopes]
+NARROW = {"tube_length": 236.4, "focal_length": 2364.0, "distance": 23640.0}
+ALL_TERMS = replace(SCOPE, principal_offset=(3.0, -2.0), distortion_k2=-3e-17)
+WIDE = replace(SCOPE, **NARROW, distortion=7e-8, alpha=0.2, beta=0.1, gamma=0.1)
+FAR = {"tube_length": 0.95 * SCOPE.tube_length, "distance": SCOPE.distance / 0.95, "alpha": -0.4}
+
+
+@pytest.mark.parametrize(
+    ("scope", "change", "pitch", "given", "error"),
+    [
+        (ALL_TERMS, {"alpha": -0.4, "beta": -0.25, "gamma": 0.1}, 280.0, {}, 0.01),
+        # The corners are at 71° from the axis: five coefficients are wrong by some pixels.
+        (WIDE, {"alpha": -0.2, "beta": -0.1}, 2500.0, {}, 0.3),
+        # OpenCV has one camera matrix for two views whose T_op + f differ by their magnification:
+        # the error is 12 px if each view kept its own distance.
+        (SCOPE, FAR, 280.0, {"focal_length": SCOPE.focal_length}, 0.2),
+    ],
+    ids=["all terms", "wide angle", "two magnifications"],
+)
+def test_json_gives_opencv_the_same_image_points(scope, change, pitch, given, error):
+    scopes = [scope, replace(scope, **change)]
+    worlds = [grid_in_view(each, pitch) for each in scopes]
     images = [each.project(world) for each, world in zip(scopes, worlds, strict=True)]
-    found = calibrate(worlds, images, **SENSOR)
-    content = json.loads(found.to_json())
+    content = json.loads(calibrate(worlds, images, **SENSOR, **given).to_json())
     camera = content["opencv"]
-    assert camera["distortion_model_error_px"] < 0.01
-    lens = [np.array(camera[n]) for n in ("camera_matrix", "distortion_coefficients")]
-    for view, (world, image) in enumerate(zip(worlds, images, strict=True)):
-        pose = [np.array(camera[n][view]) for n in ("rotation_vectors", "translation_vectors_um")]
-        seen = cv2.projectPoints(np.column_stack([world, 0 * world[:, 0]]), *pose, *lens)[0][:, 0]
-        assert np.abs(seen - image).max() < camera["distortion_model_error_px"] + 1e-4
+    assert camera["distortion_model_error_px"] < error
+    for seen, image in zip(seen_by_opencv(camera, worlds), images, strict=True):
+        assert np.abs(seen - image).max() < (error)
+    assert scope is not WIDE or len(camera["distortion_coefficients"]) == 8
+
+
+def test_json_gives_imagej_and_micro_manager_the_pixel_size():
+    """Sensor pixels are not square; Micro-Manager takes the root of the area of a pixel."""
+    world = grid_in_view(SCOPE)
+    found = calibrate(world, SCOPE.project(world), **SENSOR)
+    content = json.loads(found.to_json())
     width, height = SCOPE.pitch / SCOPE.magnification
-    assert content["imagej"]["pixel_width"] == pytest.approx(width)
-    assert content["imagej"]["pixel_height"] == pytest.approx(height)
-    # The root of the area, as Micro-Manager has it of an affine map.
+    pixel = content["imagej"]
+    assert (pixel["pixel_width"], pixel["pixel_height"]) == pytest.approx((width, height))
     mean = content["micro_manager"]["PixelSizeUm"]
     assert mean == pytest.approx(np.sqrt(width * height))
-    pixel = found.um_per_pixel
-    relative = np.divide(pixel.interval, pixel.value)
+    relative = np.divide(found.um_per_pixel.interval, found.um_per_pixel.value)
     np.testing.assert_allclose(np.divide(content["pixel_size_interval_um"], mean), relative)
-
-
-def test_json_describes_a_wide_angle_to_opencv():
-    """The corners are at 71° from the axis: five coefficients are wrong by some pixels."""
-    narrow = {"tube_length": 236.4, "focal_length": 2364.0, "distance": 23640.0}
-    wide = replace(SCOPE, **narrow, distortion=7e-8, alpha=0.2, beta=0.1, gamma=0.1)
-    scopes = [wide, replace(wide, alpha=-0.2, beta=-0.1)]
-    worlds = [grid_in_view(each, 2500.0) for each in scopes]
-    images = [each.project(world) for each, world in zip(scopes, worlds, strict=True)]
-    camera = json.loads(calibrate(worlds, images, **SENSOR).to_json())["opencv"]
-    assert camera["distortion_model_error_px"] < 0.3
-    lens = [np.array(camera[n]) for n in ("camera_matrix", "distortion_coefficients")]
-    for view, (world, image) in enumerate(zip(worlds, images, strict=True)):
-        pose = [np.array(camera[n][view]) for n in ("rotation_vectors", "translation_vectors_um")]
-        seen = cv2.projectPoints(np.column_stack([world, 0 * world[:, 0]]), *pose, *lens)[0][:, 0]
-        assert np.abs(seen - image).max() < 0.3
-    assert len(camera["distortion_coefficients"]) == 8
-
-
-def test_json_keeps_the_scale_of_each_view_with_a_given_focal_length():
-    """OpenCV has one camera matrix for two views whose T_op + f differ by their magnification."""
-    far = replace(
-        SCOPE, tube_length=0.95 * SCOPE.tube_length, distance=SCOPE.distance / 0.95, alpha=-0.4
-    )
-    worlds = [grid_in_view(each) for each in (SCOPE, far)]
-    images = [each.project(world) for each, world in zip((SCOPE, far), worlds, strict=True)]
-    found = calibrate(worlds, images, **SENSOR, focal_length=SCOPE.focal_length)
-    camera = json.loads(found.to_json())["opencv"]
-    lens = [np.array(camera[n]) for n in ("camera_matrix", "distortion_coefficients")]
-    for view, (world, image) in enumerate(zip(worlds, images, strict=True)):
-        pose = [np.array(camera[n][view]) for n in ("rotation_vectors", "translation_vectors_um")]
-        seen = cv2.projectPoints(np.column_stack([world, 0 * world[:, 0]]), *pose, *lens)[0][:, 0]
-        assert np.abs(seen - image).max() < 0.2  # 12 px if each view kept its own distance
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.2])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from microlib.calibration import Detection
 from microlib.microscope import Microscope
 
 #: Sensor pixels and an image that are not square; a tilted and turned pattern, in focus.
@@ -183,3 +184,25 @@ PHOTOGRAPHS = {
     "chessboard": chessboard(blur=0.7)[0],
     "scale": scale(spacing=14.0, angle=0.0),
 }
+
+
+def detection_of(positions, points, *, groups=None, image_size=(640, 480), **more) -> Detection:
+    """The detection of marks at positions, in pitches, whose points are known exactly."""
+    groups = np.arange(len(points)) if groups is None else groups
+    grid = np.round(positions - positions.min(axis=0)).astype(int)
+    given = {"uncertainty": np.ones(len(points)), "side": np.nan, "grid": grid} | more
+    return Detection(
+        points=points, positions=positions, group=groups, normalized_rms=1.0,
+        image_size=image_size, **given,
+    )  # fmt: skip
+
+
+def seen_by_opencv(camera: dict, worlds: list[np.ndarray]) -> list[np.ndarray]:
+    """Image points of each view of a plane, by OpenCV from what `Calibration.to_json` describes."""
+    lens = [np.array(camera[name]) for name in ("camera_matrix", "distortion_coefficients")]
+    poses = zip(camera["rotation_vectors"], camera["translation_vectors_um"], strict=True)
+    flat = [np.column_stack([world, 0 * world[:, 0]]) for world in worlds]
+    return [
+        cv2.projectPoints(world, *map(np.array, pose), *lens)[0][:, 0]
+        for world, pose in zip(flat, poses, strict=True)
+    ]
