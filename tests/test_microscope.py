@@ -47,9 +47,8 @@ CALLS = {
     Microscope.project: lambda: {"self": SCOPE, "points": PLANE.copy()},
     Microscope.back_project: lambda: {"self": SCOPE, "pixels": PLANE / 9 + 200},
     distort: lambda: {"points": ON_SENSOR.copy(), **LENS},
-    undistort: lambda: {"points": ON_SENSOR.copy(), **LENS},
-    euler_rotation: lambda: dict(TURNS),
-}
+    undistort: lambda: {"points": ON_SENSOR.copy(), **LENS}, euler_rotation: lambda: dict(TURNS),
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 
 

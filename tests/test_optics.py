@@ -35,10 +35,9 @@ CALLS = {
     optics.gaussian_kernel: lambda: {"sigma": 1.3, "size": 7},
     optics.gaussian_transfer: lambda: {"u": 0.4, "v": np.array([-0.3, 0.7]), "sigma": 1.3},
     optics.image_distance: lambda: {
-        "object_distance": DISTANCES,
-        "focal_length": LENS["focal_length"],
+        "object_distance": DISTANCES, "focal_length": LENS["focal_length"],
     },
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 SMALL = np.zeros((4, 5))
 LENGTH = [*BROKEN, 0, -1]
@@ -47,15 +46,14 @@ REFUSED = {
     optics.BlurLadder: {"largest": NEGATIVE},
     optics.BlurLadder.at: {"sigma": lambda valid: [*not_finite(valid), SMALL, 4.1]},
     optics.blur_radius: {
-        "object_distance": not_finite,
-        "sensor_distance": [*LENGTH, 90.0],
+        "object_distance": not_finite, "sensor_distance": [*LENGTH, 90.0],
         **dict.fromkeys(("focal_length", "aperture_radius"), LENGTH),
     },
     optics.defocus: {"sigma": [*BROKEN, -1, SMALL]},
     optics.gaussian_kernel: {"size": [*NO_COUNT, 6]},
     optics.gaussian_transfer: {"u": BROKEN, "v": not_finite, "sigma": [*BROKEN, -1]},
     optics.image_distance: {"object_distance": lambda valid: [*not_finite(valid), 50.0]},
-}
+}  # fmt: skip
 
 
 @each_call

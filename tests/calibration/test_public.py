@@ -42,32 +42,27 @@ def charuco() -> np.ndarray:
 
 #: A valid call of each function.
 CALLS = {
-    calibrate: seen,
-    Calibration.to_json: lambda: {"self": calibrated()},
+    calibrate: seen, Calibration.to_json: lambda: {"self": calibrated()},
     Calibration.from_json: lambda: {"text": calibrated().to_json()},
     calibration.detect_circles: lambda: {"image": PHOTOGRAPHS["circles"].copy()},
     calibration.detect_squares: lambda: {
-        "image": PHOTOGRAPHS["squares"].copy(),
-        "pattern": "squares",
+        "image": PHOTOGRAPHS["squares"].copy(), "pattern": "squares",
     },
     detect_micrometer: lambda: {"image": PHOTOGRAPHS["scale"].copy()},
     calibration.detect_pattern: lambda: {
-        "image": PHOTOGRAPHS["circles"].copy(),
-        "pattern": "circles",
+        "image": PHOTOGRAPHS["circles"].copy(), "pattern": "circles",
     },
     calibration.detect_charuco: lambda: {"image": charuco().copy()},
     calibration.Micrometer.um_per_pixel: lambda: {
-        "self": detect_micrometer(PHOTOGRAPHS["scale"]),
-        "division": 10.0,
+        "self": detect_micrometer(PHOTOGRAPHS["scale"]), "division": 10.0,
     },
     calibration.linear_intrinsics: lambda: {
-        "flat": FLAT[:, :2].copy(),
-        "depth": FLAT[:, 2] - SCOPE.translation[2],
+        "flat": FLAT[:, :2].copy(), "depth": FLAT[:, 2] - SCOPE.translation[2],
         "sensor": SENSOR_POINTS.copy(),
     },
     calibration.radial_alignment: lambda: {"world": WORLD.copy(), "sensor": SENSOR_POINTS.copy()},
     stage_affine: lambda: {"stage": MOVES.copy(), "image": SEEN.copy()},
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 #: What is refused in place of each argument.
 REFUSED = {

@@ -27,41 +27,30 @@ CALLS = {
     curvature.clean_labels: lambda: {"labels": LABELS.copy(), "smallest": 25},
     curvature.curvature_windows: lambda: {"size": 7},
     curvature.hk_labels: lambda: {
-        "mean": BENT.mean.copy(),
-        "gaussian": BENT.gaussian.copy(),
-        "h_zero": 0.01,
-        "k_zero": 2e-4,
+        "mean": BENT.mean.copy(), "gaussian": BENT.gaussian.copy(), "h_zero": 0.01, "k_zero": 2e-4,
     },
     curvature.region_table: lambda: {"labels": np.pad(LABELS, ((0, 6), (9, 5))), "curvature": BENT},
     curvature.surface_curvature: lambda: {
-        "height": HEIGHT.copy(),
-        "pixel_size": 2.3,
-        "size": 5,
-        "noise": 0.04,
+        "height": HEIGHT.copy(), "pixel_size": 2.3, "size": 5, "noise": 0.04,
     },
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
 THRESHOLD = [None, "text", 1j, {}, [], -1]  # NaN leaves a pixel without a label
 #: What is refused in place of each argument.
 REFUSED = {
     curvature.clean_labels: {
-        "labels": lambda valid: [*no_array(valid), [[12]], np.full((4, 4), 1.9), -np.eye(4)]
+        "labels": lambda valid: [*no_array(valid), [[12]], np.full((4, 4), 1.9), -np.eye(4)],
     },
     curvature.curvature_windows: {"size": [*NO_COUNT, 1, 4]},
     curvature.hk_labels: {
-        "mean": no_map,
-        "gaussian": no_map,
-        "h_zero": THRESHOLD,
-        "k_zero": [*THRESHOLD, [0.1, 0.2]],
+        "mean": no_map, "gaussian": no_map, "h_zero": THRESHOLD, "k_zero": [*THRESHOLD, [0.1, 0.2]],
     },
     curvature.region_table: {"labels": lambda valid: [*no_array(valid), [[1]]]},
     curvature.surface_curvature: {
         "height": lambda valid: [*no_map(valid), np.zeros((8, 40)), np.full((40, 40), np.inf)],
-        "size": [*NO_COUNT, 4],
-        "noise": [*NO_NUMBER, -1],
-        "pixel_size": [*BROKEN, 0, -1],
+        "size": [*NO_COUNT, 4], "noise": [*NO_NUMBER, -1], "pixel_size": [*BROKEN, 0, -1],
     },
-}
+}  # fmt: skip
 
 
 @each_call

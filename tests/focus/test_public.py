@@ -47,35 +47,24 @@ SMALL = np.random.default_rng(1).integers(0, 255, (5, 24, 31)).astype(np.uint8)
 CALLS = {
     correct_spikes: lambda: {"depth": HOLED.copy(), "window": 5, "delta": 1.5},
     depth_from_focus: lambda: {
-        "frames": SMALL.copy(),
-        "positions": np.arange(5.0),
-        "measure": "sml",
-        "window": 5,
-        "region": (0, 0, 20, 20),
-        "reduce": 1,
-        "workers": 2,
+        "frames": SMALL.copy(), "positions": np.arange(5.0), "measure": "sml", "window": 5,
+        "region": (0, 0, 20, 20), "reduce": 1, "workers": 2,
     },
     smooth_depth: lambda: {"depth": HOLED.copy(), "jump": 12.0, "sigma": 4.0},
     sum_modified_laplacian: lambda: {
-        "image": STACK[3].copy(),
-        "window": 5,
-        "step": 2,
-        "threshold": 9.5,
+        "image": STACK[3].copy(), "window": 5, "step": 2, "threshold": 9.5,
     },
     three_point_peak: lambda: {
-        "window": WINDOW.copy(),
-        "index": INDEX.copy(),
-        "positions": 42.0 + Z,
+        "window": WINDOW.copy(), "index": INDEX.copy(), "positions": 42.0 + Z,
     },
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
 ODD = [*NO_COUNT, 4]
 #: What is refused in place of each argument.
 REFUSED = {
     correct_spikes: {
         "depth": lambda valid: [*no_map(valid), np.zeros(12), np.full((12, 12), np.inf)],
-        "window": ODD,
-        "delta": NEGATIVE,
+        "window": ODD, "delta": NEGATIVE,
     },
     depth_from_focus: {
         "frames": no_map,
@@ -83,8 +72,7 @@ REFUSED = {
         "window": ODD,
     },
     smooth_depth: {
-        "depth": lambda valid: [*no_map(valid), np.full(valid.shape, -np.inf)],
-        "sigma": NEGATIVE,
+        "depth": lambda valid: [*no_map(valid), np.full(valid.shape, -np.inf)], "sigma": NEGATIVE,
     },
     sum_modified_laplacian: {"window": ODD, "step": [*NO_COUNT, 99], "threshold": NEGATIVE},
     three_point_peak: {
@@ -92,7 +80,7 @@ REFUSED = {
         "index": lambda valid: [*no_array(valid), 0 * valid + len(Z), 0 * valid - 1],
         "positions": lambda valid: [*no_array(valid), np.arange(2.0), np.arange(10) // 2],
     },
-}
+}  # fmt: skip
 
 
 @each_call

@@ -98,60 +98,44 @@ def steered(
 #: A valid call of each function, in any units.
 CALLS = {
     CameraTiming: lambda um=1.0, px=1.0, s=1.0: {
-        "interval": 0.03 * s,
-        "latency": 0.05 * s,
-        "jitter": 0.1 * px,
+        "interval": 0.03 * s, "latency": 0.05 * s, "jitter": 0.1 * px,
     },
     StageModel: lambda um=1.0, px=1.0, s=1.0: vars(stage(um, s)),
     StageModel.rounded: lambda um=1.0, px=1.0, s=1.0: {
-        "self": stage(um, s),
-        "position": np.array([1.23, -45.6]) * um,
+        "self": stage(um, s), "position": np.array([1.23, -45.6]) * um,
     },
     OptimalController: weighted,
     OptimalController.__call__: lambda um=1.0, px=1.0, s=1.0: {
-        "self": OptimalController(**weighted(um, px, s)),
-        "k": 2,
-        "measured": (PLACE + STEP) * px,
+        "self": OptimalController(**weighted(um, px, s)), "k": 2, "measured": (PLACE + STEP) * px,
         "reference": (PLACE + PATH) * px,
     },
     servoing.ibvs_control: lambda um=1.0, px=1.0, s=1.0: {
-        "jacobian": J * px / um,
-        "error": STEP * px,
-        "gain": 0.5 / s,
+        "jacobian": J * px / um, "error": STEP * px, "gain": 0.5 / s,
         "drift": np.array([0.7, -0.4]) * px / s,
     },
     servoing.loop_poles: lambda um=1.0, px=1.0, s=1.0: {"gain": 0.4, "delay": 1.3},
     servoing.optimal_control: lambda um=1.0, px=1.0, s=1.0: {
-        **weighted(um, px, s),
-        "feature": PLACE * px,
-        "target": (PLACE + STEP) * px,
+        **weighted(um, px, s), "feature": PLACE * px, "target": (PLACE + STEP) * px,
     },
     servoing.path_metrics: lambda um=1.0, px=1.0, s=1.0: {
-        "position": (PLACE + PATH + 0.1 * PATH[::-1]) * px,
-        "reference": (PLACE + PATH) * px,
+        "position": (PLACE + PATH + 0.1 * PATH[::-1]) * px, "reference": (PLACE + PATH) * px,
     },
     servoing.point_jacobian: lambda um=1.0, px=1.0, s=1.0: {
-        "points": PATH[:3] * px,
-        "depth": np.array([300.0, 350.0, 280.0]) * um,
-        "magnification": 6.4,
-        "pixel_pitch": np.array([9.9, 8.3]) * um / px,
+        "points": PATH[:3] * px, "depth": np.array([300.0, 350.0, 280.0]) * um,
+        "magnification": 6.4, "pixel_pitch": np.array([9.9, 8.3]) * um / px,
     },
     servoing.simulate: lambda um=1.0, px=1.0, s=1.0: {
-        "controller": OptimalController(**weighted(um, px, s)),
-        "reference": (PLACE + PATH) * px,
-        "jacobian": 1.1 * J * px / um,
-        "stage": stage(um, s),
-        "camera": CameraTiming(0.03 * s, latency=0.04 * s, jitter=0.2 * px),
-        "rng": 0,
+        "controller": OptimalController(**weighted(um, px, s)), "reference": (PLACE + PATH) * px,
+        "jacobian": 1.1 * J * px / um, "stage": stage(um, s),
+        "camera": CameraTiming(0.03 * s, latency=0.04 * s, jitter=0.2 * px), "rng": 0,
         "start": (PLACE - STEP) * px,
     },
     servoing.step_metrics: lambda um=1.0, px=1.0, s=1.0: {
         "time": (T0 + np.arange(25.0) ** 1.1) * s,
-        "position": (PLACE + ANSWER[:, None] * STEP) * px,
-        "target": (PLACE + STEP) * px,
+        "position": (PLACE + ANSWER[:, None] * STEP) * px, "target": (PLACE + STEP) * px,
         "band": 0.04,
     },
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 #: Other units, and those of the results in them.
 UM, PX, S = 1.7, 0.6, 2.3
@@ -166,9 +150,8 @@ FACTORS = {
     },
     servoing.step_metrics: METRICS | {"settling_time": S},
     servoing.point_jacobian: {"factor": np.array([PX / UM] * 3 + [PX] * 3)},
-    servoing.loop_poles: {},
-    StageModel.rounded: {"factor": UM},
-}
+    servoing.loop_poles: {}, StageModel.rounded: {"factor": UM},
+}  # fmt: skip
 SINGULAR = [[[1.0, 2.0], [2.0, 4.0]], np.zeros((2, 2))]
 
 
@@ -182,37 +165,29 @@ def no_weight(valid):
 
 #: What is refused in place of each argument.
 REFUSED = {
-    CameraTiming: {"latency": NEGATIVE, "jitter": NEGATIVE},
-    StageModel: {"increment": NEGATIVE},
+    CameraTiming: {"latency": NEGATIVE, "jitter": NEGATIVE}, StageModel: {"increment": NEGATIVE},
     StageModel.rounded: {"position": not_finite},
     OptimalController: {
-        "jacobian": no_jacobian,
-        "feature_weight": no_weight,
-        "control_weight": no_weight,
+        "jacobian": no_jacobian, "feature_weight": no_weight, "control_weight": no_weight,
     },
     OptimalController.__call__: {
-        "k": [*NEGATIVE, 1.5],
-        "measured": lambda valid: [*not_real(valid), Wrong(3.0)],
+        "k": [*NEGATIVE, 1.5], "measured": lambda valid: [*not_real(valid), Wrong(3.0)],
     },
-    servoing.ibvs_control: {"jacobian": no_jacobian},
-    servoing.loop_poles: {"delay": NEGATIVE},
+    servoing.ibvs_control: {"jacobian": no_jacobian}, servoing.loop_poles: {"delay": NEGATIVE},
     servoing.optimal_control: {"feature_weight": no_weight, "control_weight": no_weight},
     servoing.path_metrics: {"position": lambda valid: [*no_array(valid), np.zeros((1, 2))]},
     servoing.point_jacobian: {
-        "depth": not_finite,
-        "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, -valid],
+        "depth": not_finite, "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, -valid],
     },
     servoing.simulate: {
-        "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)],
-        "jacobian": not_finite,
+        "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)], "jacobian": not_finite,
         "rng": NEGATIVE,
     },
     servoing.step_metrics: {
         "time": lambda valid: [*no_array(valid), np.zeros(25), valid[:-1]],
-        "target": lambda valid: [*no_array(valid), PLACE],
-        "band": [*NOT_POSITIVE, 1.0],
+        "target": lambda valid: [*no_array(valid), PLACE], "band": [*NOT_POSITIVE, 1.0],
     },
-}
+}  # fmt: skip
 
 
 @each_call

@@ -103,33 +103,29 @@ def focused(um: float = 1.0, z0: float = 42.0) -> dict:
 #: A valid call of each function.
 CALLS = {
     Embryo: lambda: {field.name: getattr(egg(), field.name) for field in fields(Embryo)},
-    Embryo.pressed: pressed,
-    Embryo.dented: dented,
+    Embryo.pressed: pressed, Embryo.dented: dented,
     Embryo.outline: lambda: {"self": egg(), "spacing": 7.0},
     EmbryoImage.to_pixels: lambda: {
-        "self": tilted(),
-        "points": np.array([[120.0, -40.0], [-300.0, 15.0]]),
+        "self": tilted(), "points": np.array([[120.0, -40.0], [-300.0, 15.0]]),
     },
     GripperScene.box: lambda: {"self": gripper(), "size": 20, "shift": (2.2, -1.4)},
     GripperScene.frame: lambda: {
-        **{"self": gripper(), "shift": (2.2, -1.4), "rng": 4, "noise": 1.5}
+        **{"self": gripper(), "shift": (2.2, -1.4), "rng": 4, "noise": 1.5},
     },
     ImagingConditions: lambda: dict(vars(imaging())),
     synthetic.cone: lambda: {"shape": SHAPE, "height": 9.0, "radius": 8.0},
     synthetic.embryo_image: lambda: {
-        **{"embryo": egg(), "rng": 2, "blur": 1.2, "noise": 2.0, "unevenness": 0.1, **place()}
+        **{"embryo": egg(), "rng": 2, "blur": 1.2, "noise": 2.0, "unevenness": 0.1, **place()},
     },
-    synthetic.focal_stack: focused,
-    synthetic.gripper_scene: jaws,
+    synthetic.focal_stack: focused, synthetic.gripper_scene: jaws,
     synthetic.mixed_texture: lambda: {
-        **{"shape": SHAPE, "rng": 0, "mean": 20.0, "std": 30.0, "scales": (0.8, 3.0)}
+        **{"shape": SHAPE, "rng": 0, "mean": 20.0, "std": 30.0, "scales": (0.8, 3.0)},
     },
     synthetic.parabolic_cylinder: lambda: {"shape": SHAPE, "height": 9.0, "width": 25.0},
     synthetic.paraboloid: lambda: {"shape": SHAPE, "height": 9.0},
-    synthetic.render_circles: circles,
-    synthetic.render_squares: squares,
+    synthetic.render_circles: circles, synthetic.render_squares: squares,
     synthetic.sphere_on_plane: lambda: {"shape": SHAPE, "radius": 30.0, "pixel_size": 4.0},
-}
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 LENGTHS = ("modulus", "thickness", "probe_half_width", "radius")
 EGG = dict.fromkeys(LENGTHS, NOT_POSITIVE) | {"force": NEGATIVE, "poisson_ratio": [*NEGATIVE, 0.6]}
@@ -149,50 +145,35 @@ REFUSED = {
         "depth": [*NOT_POSITIVE, 3e3],
     },
     GripperScene.frame: {
-        "shift": lambda valid: [*no_array(valid), (90, 0)],
-        "noise": NEGATIVE,
-        "rng": NEGATIVE,
+        "shift": lambda valid: [*no_array(valid), (90, 0)], "noise": NEGATIVE, "rng": NEGATIVE,
     },
     ImagingConditions: {
-        "dark": [*NEGATIVE, 255.5],
-        "bright": [*NEGATIVE, 255.5],
-        "blur": NEGATIVE,
-        "noise": NEGATIVE,
-        "vignetting": [*NEGATIVE, 1.1],
+        "dark": [*NEGATIVE, 255.5], "bright": [*NEGATIVE, 255.5], "blur": NEGATIVE,
+        "noise": NEGATIVE, "vignetting": [*NEGATIVE, 1.1],
     },
     synthetic.cone: {"shape": no_shape},
     synthetic.embryo_image: {
-        "shape": lambda valid: [*no_shape(valid), (10, 10)],
-        "pixel_size": PIXEL,
-        "tilt": [*NO_NUMBER, 4.0],
-        "blur": [*NEGATIVE, 0.2],
-        "unevenness": [*NEGATIVE, 0.6],
+        "shape": lambda valid: [*no_shape(valid), (10, 10)], "pixel_size": PIXEL,
+        "tilt": [*NO_NUMBER, 4.0], "blur": [*NEGATIVE, 0.2], "unevenness": [*NEGATIVE, 0.6],
         **dict.fromkeys(("noise", "rng"), NEGATIVE),
     },
     synthetic.focal_stack: {
-        "height": lambda valid: [*no_array(valid), np.eye(5)],
-        "blur_rate": [*NOT_POSITIVE, 1e3],
+        "height": lambda valid: [*no_array(valid), np.eye(5)], "blur_rate": [*NOT_POSITIVE, 1e3],
         **dict.fromkeys(("noise", "rng"), NEGATIVE),
     },
     synthetic.gripper_scene: {
-        "shape": no_shape,
-        "rng": NEGATIVE,
-        "pixel_size": PIXEL,
-        "gap": [*NOT_POSITIVE, 130.0],
+        "shape": no_shape, "rng": NEGATIVE, "pixel_size": PIXEL, "gap": [*NOT_POSITIVE, 130.0],
     },
     synthetic.mixed_texture: {
-        "shape": no_shape,
-        "scales": lambda valid: [*not_finite(valid), 0.0, (1.0, -1.0)],
-        "mean": NO_NUMBER,
-        "std": NEGATIVE,
-        "rng": NEGATIVE,
+        "shape": no_shape, "scales": lambda valid: [*not_finite(valid), 0.0, (1.0, -1.0)],
+        "mean": NO_NUMBER, "std": NEGATIVE, "rng": NEGATIVE,
     },
     synthetic.parabolic_cylinder: {"shape": lambda valid: [*no_shape(valid), (1, 9)]},
     synthetic.paraboloid: {"shape": no_shape},
     synthetic.render_circles: {"counts": no_shape, "rng": NEGATIVE},
     synthetic.render_squares: {"counts": no_shape, "rng": NEGATIVE},
     synthetic.sphere_on_plane: {"shape": no_shape, "pixel_size": PIXEL},
-}
+}  # fmt: skip
 
 
 @each_call

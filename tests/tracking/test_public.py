@@ -71,15 +71,12 @@ FOUND = {
 CALLS = {
     ESMTracker: lambda: {"image": FRAMES[0].copy(), "box": BOX, "motion": "affine"},
     ESMTracker.track: lambda: {
-        "self": ESMTracker(FRAMES[0], BOX, "affine"),
-        "frame": FRAMES[1].copy(),
+        "self": ESMTracker(FRAMES[0], BOX, "affine"), "frame": FRAMES[1].copy(),
     },
-    KalmanFilter: filtered,
-    KalmanFilter.predict: lambda: {"self": used()},
+    KalmanFilter: filtered, KalmanFilter.predict: lambda: {"self": used()},
     KalmanFilter.update: lambda: {"self": used(), "position": START + np.array([8.7, -6.2])},
-    track_all: film,
-    track_each: film,
-}
+    track_all: film, track_each: film,
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 FILM = {
     "frames": no_map,
@@ -91,9 +88,8 @@ FILM = {
 #: What is refused in place of each argument.
 REFUSED = {
     ESMTracker.track: {"frame": lambda valid: [*no_array(valid), np.zeros((20, 30))]},
-    track_all: FILM,
-    track_each: FILM,
-}
+    track_all: FILM, track_each: FILM,
+}  # fmt: skip
 
 
 @each_call
