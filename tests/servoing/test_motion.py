@@ -15,7 +15,7 @@ COVARIANCE = np.array([[4e-4, 2e-4], [2e-4, 9e-4]])
 def calibrate(rng, *, excess=1.0, outlier=None, stuck=False, covariance=COVARIANCE):
     """Run the calibration with a tracker whose noise is `excess` times the stated covariance."""
     workstation = SimulatedWorkstation(
-        lambda feature: np.zeros((9, 9)), jacobian=JACOBIAN, home=(80.0, 60.0), drift=DRIFT, rng=rng,
+        lambda feature: np.zeros((9, 9)), rng=rng, jacobian=JACOBIAN, home=(80, 60), drift=DRIFT,
         stage=StageModel(saturation=1e6, increment=0.0), camera=CameraTiming(interval=0.1),
     )  # fmt: skip
     if stuck:

@@ -1,5 +1,8 @@
 """Hidden, in another light, gone: what the tracker finds, what it doubts, and how certain it is."""
 
+from functools import cache
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.random import default_rng
@@ -7,7 +10,6 @@ from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
 from microlib.tracking import ESMTracker, KalmanFilter
-from microlib.tracking._sampling import half_pixel
 from microlib.tracking.robust._covariance import sandwich
 from tests.checks import hold_sigma
 from tests.scenes import camera_frame
@@ -107,7 +109,7 @@ def test_track_is_lost_where_the_template_is_absent(motion):
         *(np.where(columns > 93, 255.0, 0.0), 1e6 * default_rng(9).standard_normal((200, 260))),
     ]
     box = (70, 65, 50, 50)
-    for seed in range(3):
+    for seed in range(2):
         first, rng = scene(seed), default_rng(seed)
         # Without the verdict half of the blobs are believed: any can be warped onto another.
         blobs, other_blobs = scene(seed, 8.0), camera_frame(scene(seed + 200, 8.0), rng)
@@ -247,24 +249,21 @@ def test_occluded_template_is_not_replaced_by_an_identical_one(filtered, step, u
 
 def test_template_that_returns_far_from_the_prediction_of_the_filter_is_not_found():
     """Returning 20 standard deviations from the prediction; the search ends at five."""
-    rng = default_rng(0)
+    rng, places = default_rng(0), [60] * 5 + [None] * 2 + [300]
     part = mixed_texture((40, 40), rng, scales=2.0, std=40.0)
-    places = [60] * 5 + [None] * 2 + [300]
-    film = []
-    for x in places:
-        image = np.full((200, 400), 128.0)
+    film = [np.full((200, 400), 128.0) for _ in places]
+    for image, x in zip(film, places, strict=True):
         if x is not None:
             image[60:100, x : x + 40] = part
-        film.append(camera_frame(image, rng))
+    film = [camera_frame(image, rng) for image in film]
     kalman = KalmanFilter((79.5, 79.5), interval=0.1, acceleration=400.0, noise=0.1)
     tracker = ESMTracker(film[0], (60, 60, 40, 40), "translation", kalman=kalman)
     assert [tracker.track(frame).lost for frame in film[1:]] == [x != 60 for x in places[1:]]
 
 
-@pytest.mark.parametrize("noise", [0.0, 2.0])
-def test_template_that_is_half_static_background_is_lost_when_its_object_moves(noise):
+def test_template_that_is_half_static_background_is_lost_when_its_object_moves():
     """From two halves that move differently, the tracker cannot tell which is the object."""
-    for seed in range(6):
+    for seed, noise in product(range(6), (0.0, 2.0)):
         rng = default_rng(seed)
         ground = mixed_texture((180, 200), rng, scales=(2.0, 6.0), std=35.0)
         part = mixed_texture((60, 30), rng, scales=(2.0, 6.0), std=35.0)
@@ -280,23 +279,28 @@ def test_template_that_is_half_static_background_is_lost_when_its_object_moves(n
         np.testing.assert_allclose(alone.center, (70 + 9 + 14.5, 60 + 4 + 29.5), atol=0.05)
 
 
-@pytest.mark.parametrize("motion", ["translation", "homography"])
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
-def test_object_on_ground_in_its_box_is_found_or_lost_but_the_ground_is_not_followed(motion, share):
-    """A disc before ground at rest, which fills a share of the box."""
-    side, reasons, found = 60, set(), 0
+@cache
+def discs_on_ground(share, side=60):
+    """Films of a disc that moves before ground at rest, which fills a share of a box; the ways."""
     y, x = np.mgrid[:180, :220] - np.array([90, 110])[:, None, None]
+    alpha = 1 / (1 + np.exp(np.hypot(x, y) - side * np.sqrt((1 - share) / np.pi)))
+    films = []
     for seed in range(3):
         rng = default_rng(seed)
         ground = mixed_texture((180, 220), rng, scales=(2.0, 6.0), std=20.0)
         disc = mixed_texture((180, 220), rng, scales=(1.5, 4.0), std=25.0) + 30
-        alpha = 1 / (1 + np.exp(np.hypot(x, y) - side * np.sqrt((1 - share) / np.pi)))
         way = rng.uniform(2, 4) * np.array([[np.cos(seed), np.sin(seed)]]) * np.arange(9)[:, None]
-        film = []
-        for by in way:
-            cover = translated(alpha, by)
-            film.append(camera_frame(cover * translated(disc, by) + (1 - cover) * ground, rng))
-        box = (110 - side // 2, 90 - side // 2, side, side)
+        seen = [(translated(alpha, by), translated(disc, by)) for by in way]
+        film = [camera_frame(cover * part + (1 - cover) * ground, rng) for cover, part in seen]
+        films.append((film, way))
+    return films
+
+
+@pytest.mark.parametrize("motion", ["translation", "homography"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_object_on_ground_in_its_box_is_found_or_lost_but_the_ground_is_not_followed(motion, share):
+    reasons, found, box = set(), 0, (80, 60, 60, 60)
+    for film, way in discs_on_ground(share):
         tracker = ESMTracker(film[0], box, motion)
         for frame, by in zip(film[1:], way[1:], strict=True):
             track = tracker.track(frame)
@@ -340,7 +344,7 @@ def test_part_in_a_mask_is_tracked_before_ground_that_fills_most_of_the_box(size
     np.testing.assert_array_equal(lost.hidden, jaws)
 
 
-def test_mask_of_the_whole_box_changes_nothing():
+def test_mask_of_the_whole_box_changes_nothing_and_one_that_does_not_fit_is_rejected():
     first, second = (
         camera_frame(translated(scene(0), by), default_rng(0)) for by in ((0, 0), (4, 1))
     )
@@ -351,19 +355,13 @@ def test_mask_of_the_whole_box_changes_nothing():
     np.testing.assert_allclose(tracks[1].corners, tracks[0].corners, atol=1e-3)
     np.testing.assert_allclose(tracks[1].covariance, tracks[0].covariance, rtol=1e-2)
     assert (tracks[1].gain, tracks[1].visible) == pytest.approx((tracks[0].gain, 1.0), rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("mask", "message"),
-    [
+    for mask, message in (
         (np.ones((199, 260)), r"mask must have shape \(200, 260\)"),
         (np.zeros((200, 260)), "mask must hold at least 36 px of the box, got 0"),
         (np.full((200, 260), np.nan), "mask must be finite"),
-    ],
-)
-def test_mask_that_does_not_fit_the_box_is_rejected(mask, message):
-    with pytest.raises(ValueError, match=message):
-        ESMTracker(scene(0), (70, 65, 50, 50), mask=mask)
+    ):
+        with pytest.raises(ValueError, match=message):
+            ESMTracker(first, box, mask=mask)
 
 
 def test_points_stay_where_a_frame_is_blurred_like_the_template():
@@ -380,33 +378,17 @@ def test_points_stay_where_a_frame_is_blurred_like_the_template():
     assert like_the_frame > 0.9 > 0.6 > sharp
 
 
-@pytest.mark.parametrize("distance", [0.5, 4.5])
-def test_right_pose_has_as_high_a_score_in_less_noise(distance):
-    """Interpolation then leaves more than the noise: a score must allow for both."""
-    image, box = scene(0, 1.5), (70, 65, 50, 50)
-    level = ESMTracker(image, box, "translation")._template.photometric[0]
-    pose = np.array([[25, 0, 94.5 + distance], [0, 25, 89.5 + distance], [0, 0, 1]])
-    moved = half_pixel(translated(image, (distance, distance)).astype(np.float32))
-    more, less = (
-        level.align_photometric(moved, pose, noise, np.inf).blocks.score() for noise in (2.0, 0.2)
-    )
-    assert less > 0.9 * more
-
-
 def lattice(pattern, period, by, end=np.inf):
     """Return a pattern of that period, moved by (x, y) px; beyond an `end` the ground rests."""
     y, x = np.mgrid[:190, :220].astype(float)
     u, v = x - 105 - by[0], y - 95 - by[1]
     waves = np.sin(2 * np.pi * (u + 0.4 * v) / period), np.sin(2 * np.pi * (v - 0.4 * u) / period)
-    image = (
-        128
-        + 40
-        * {
-            "checkerboard": np.tanh(3 * waves[0]) * np.tanh(3 * waves[1]),
-            "grating": (waves[0] + waves[1]) / 2,
-            "dots": np.tanh(3 * (waves[0] + waves[1] - 0.8)),
-        }[pattern]
-    )
+    contrast = {
+        "checkerboard": np.tanh(3 * waves[0]) * np.tanh(3 * waves[1]),
+        "grating": (waves[0] + waves[1]) / 2,
+        "dots": np.tanh(3 * (waves[0] + waves[1] - 0.8)),
+    }[pattern]
+    image = 128 + 40 * contrast
     ground = mixed_texture(image.shape, default_rng(9), scales=4.0, std=20.0)
     return np.where((abs(u) < end) & (abs(v) < end), image, ground)
 
