@@ -363,7 +363,7 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
             {"adequate": False},
             2,
             "embryo.png 5 px, circles.png 0 px; the stated interval of the pixel"
-            " size is therefore 2.5 times as wide as that by noise",
+            " size is therefore 2.5 times as wide as from noise alone",
         ),
         (32, {"adequate": False}, 3, "is --focal-length that of the objective, the pattern flat"),
         (32, {"lack_of_fit": np.nan}, 1, "too few marks to test whether the model fits"),

@@ -143,8 +143,8 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
         session.note(
             f"the model does not fit the points: residuals are {result.reprojection.rms:.2g} px or "
             f"{result.plane_error.rms:.2g} µm rms, largest in {', '.join(worst[:3])}; the stated "
-            f"interval of the pixel size is therefore {result.widening:.2g} times as wide as that "
-            f"by noise; {suspects}{more}"
+            f"interval of the pixel size is therefore {result.widening:.2g} times as wide as from "
+            f"noise alone; {suspects}{more}"
         )
     if np.isnan(result.lack_of_fit):
         session.note("too few marks to test whether the model fits: intervals contain only noise")

@@ -143,7 +143,7 @@ class Calibration(Result):
                 f"  the model is not adequate: residuals of {self.reprojection.rms:.2g} px "
                 f"({self.plane_error.rms:.2g} µm) rms, lack of fit {self.lack_of_fit:.3g}; "
                 f"the interval of the pixel size is {self.widening:.2g} times as wide "
-                "as that by noise"
+                "as from noise alone"
             )
         elif np.isnan(self.lack_of_fit):
             lines.append("  too few marks to test whether the model is adequate")
