@@ -218,7 +218,7 @@ class LedgerTable(SphinxDirective):
         short = "short" in self.options
         place = f" ({claim.where})" if short else ""
         told = [line(f"{claim.what}{place}.")]
-        if claim.says and not claim.printed:  # a sentence, and the number that we compute for it
+        if claim.says and (claim.condition or not claim.printed):
             told = [line(_sentence(claim.says + place))]
             told += [line(f"Recomputed: {claim.what}.")] if claim.compared else []
         number = span(printed(claim) if claim.printed else "–", "printed")
