@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.focus.common import DepthMap, Frame, Spread, doubled
+from microlib.focus.common import DepthMap, Frame, Spread, doubled, smooth_planes
 from microlib.focus.multiscale._axis import Axis, describe_axis
 from microlib.focus.multiscale._fits import fit_stack
 from microlib.focus.multiscale._maps import fill_nearest, typical
 from microlib.focus.multiscale._peaks import find_peaks
 from microlib.focus.multiscale._refine import Refined, refine
+from microlib.focus.multiscale._relief import direction_offsets
 from microlib.focus.multiscale._rules import RULES, Rule
 from microlib.focus.multiscale._settings import FocusSettings
 
@@ -63,9 +64,17 @@ def multiscale_depth(
         peaks = find_peaks(fits, axis, settings, strength, spread=spread)
         for rule in rules:
             peaks = peaks.without(rule(peaks, settings))
-        refined = refine(peaks, fits, axis, settings, strength, spread=spread)
-        best = fits.best
-        del fits, peaks  # to save memory
+        smooth = smooth_planes(
+            peaks.depth,
+            peaks.weight,
+            jump=settings.jump,
+            sigma=settings.smoothing_sigma,
+            spread=spread,
+        )
+        offsets = direction_offsets(smooth, fits, axis, settings, spread)
+        best, fits = fits.best, fits.without_windows()
+        refined = refine(smooth, offsets, peaks, fits, axis, settings, strength, spread=spread)
+        del fits, peaks, smooth, offsets  # to save memory
         return _enlarged(refined, best, axis, shape, spread)
 
 

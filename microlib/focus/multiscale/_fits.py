@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,11 @@ class Fits:
     edge: NDArray[np.float32]
     wide: NDArray[np.float32]
 
+    def without_windows(self) -> Fits:
+        """Return the fits without `along`, `down` and `edge`, which take most of the memory."""
+        none = np.empty(0, np.float32)
+        return replace(self, along=none, down=none, edge=none)
+
 
 def fit_stack(
     frames: Sequence[Frame],
@@ -79,23 +84,23 @@ def fit_stack(
     # A multiple of eight, as blocks of eight rows are averaged.
     tops = range(0, shape[0], int(np.clip(rows // 8 * 8, 64, _MAX_ROWS)))
 
-    def strip(top: int) -> Fits:
+    whole: dict[str, NDArray] = {}
+
+    def strip(top: int) -> float:
         bottom = min(top + tops.step, shape[0])
         start = max(top - _MARGIN, 0)
         view = slice(start, min(bottom + _MARGIN, shape[0]))
         keep = slice(top - start, bottom - start)
-        return _fit_strip(frames, axis, settings, view, keep)
-
-    whole: dict[str, NDArray] = {}
-    for top, part in zip(tops, spread(strip, tops), strict=True):  # in their order
-        for name, values in vars(part).items():
+        for name, values in vars(_fit_strip(frames, axis, settings, view, keep)).items():
             block = {"profiles": 8, "wide": 4}.get(name, 2)
             rows, cols = (-(-n // block) for n in shape)
-            if top == 0:
-                whole[name] = np.empty((*values.shape[:-2], rows, cols), values.dtype)
-            room = whole[name][..., top // block :, :]
+            new = np.empty((*values.shape[:-2], rows, cols), values.dtype)
+            room = whole.setdefault(name, new)[..., top // block :, :]
             room[..., : values.shape[-2], :] = values[..., : room.shape[-2], :cols]
-        done(min(top + tops.step, shape[0]) / shape[0])
+        return bottom / shape[0]
+
+    for share in spread(strip, tops):  # in their order
+        done(share)
     return Fits(**whole)
 
 

@@ -101,14 +101,15 @@ def find_peaks(
         local = cv2.medianBlur(np.minimum(disagreement, np.float32(3)), 5)
         return despiked(own), disagreement, cv2.blur(local, (settings.local_window,) * 2)
 
-    (own, disagreement, local), (low, high, slope), (sure_detail, probable_detail) = run_jobs(
+    (sure_detail, probable_detail), (low, high, slope), (own, disagreement, local) = run_jobs(
         spread,
-        chosen,
-        lambda: wide_range(wide, settings),
         lambda: detail_masks(fits, axis, settings),
+        lambda: wide_range(wide, settings),
+        chosen,
     )
+    own[np.isnan(depth)] = _NAN
     peaks = Peaks(
-        depth=np.where(np.isnan(depth), _NAN, own),
+        depth=own,
         weight=relative(fits.strength, typical_strength),
         disagreement=disagreement,
         local_disagreement=local,
@@ -122,11 +123,9 @@ def find_peaks(
     )
     # A wide window spans both sides of a step.
     better = wide_is_better(peaks, settings) & (slope < settings.wide_slope)
-    return replace(
-        peaks,
-        depth=np.where(better, wide, peaks.depth),
-        weight=np.where(better, np.float32(settings.wide_weight), peaks.weight),
-    )
+    np.copyto(peaks.depth, wide, where=better)
+    np.copyto(peaks.weight, np.float32(settings.wide_weight), where=better)
+    return peaks
 
 
 def choose_side(
@@ -198,7 +197,10 @@ def wide_range(wide: NDArray, settings: FocusSettings) -> tuple[NDArray, NDArray
     inside = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in wide.shape)
     outer = np.maximum(reach - np.minimum.outer(*inside), 0).astype(np.float32)
     bias = slope * (outer * outer / (2 * reach))
-    return np.where(known, low - bias, _NAN), np.where(known, high + bias, _NAN), slope
+    low -= bias
+    high += bias
+    low[~known] = high[~known] = _NAN
+    return low, high, slope
 
 
 def detail_masks(

@@ -49,11 +49,13 @@ class PeakTracker:
 
     def windows(self, rows: slice = slice(None)) -> NDArray[np.float32]:
         """Return the measures around the best frames, shape (kinds, 2 reach + 1, rows, cols)."""
-        best = self.best[rows]
-        pixel = np.arange(self.best.size).reshape(self.best.shape)[rows]
-        frame = best.astype(np.intp) + np.arange(2 * self._reach + 1)[:, None, None]
+        best = self.best[rows].astype(np.intp)
+        first = np.arange(self.best.size).reshape(self.best.shape)[rows] + best * self.best.size
         measures = self._measures.reshape(len(self._measures), -1)
-        return np.take(measures, pixel + frame * self.best.size, axis=1, mode="clip")
+        result = np.empty((len(measures), 2 * self._reach + 1, *best.shape), np.float32)
+        for k in range(result.shape[1]):
+            np.take(measures, first + k * self.best.size, axis=1, mode="clip", out=result[:, k])
+        return result
 
 
 class Profiles(NamedTuple):

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import Spread, run_jobs, smooth_planes
+from microlib.focus.common import Spread, run_jobs
 from microlib.focus.multiscale._axis import Axis, peak_locking_bias
 from microlib.focus.multiscale._fits import Fits
 from microlib.focus.multiscale._maps import fill_nearest, relative
 from microlib.focus.multiscale._measure import NoiseFloor
 from microlib.focus.multiscale._peaks import Peaks
 from microlib.focus.multiscale._relief import (
-    direction_offsets,
+    DirectionOffsets,
     error_variance,
     find_relief,
     locking_attenuation,
@@ -43,6 +43,8 @@ class Refined:
 
 
 def refine(
+    smooth: NDArray,
+    offsets: DirectionOffsets,
     peaks: Peaks,
     fits: Fits,
     axis: Axis,
@@ -51,12 +53,8 @@ def refine(
     *,
     spread: Spread = map,
 ) -> Refined:
-    """Smooth the depth by planes, restore relief, remove peak locking, and state the error."""
-    smooth = smooth_planes(
-        peaks.depth, peaks.weight, jump=settings.jump, sigma=settings.smoothing_sigma, spread=spread
-    )
-    along, down, weight = direction_offsets(smooth, fits, axis, settings, spread)
-    relief, half_difference = find_relief(along, down, weight, settings, spread)
+    """Restore relief of a smoothed depth, remove peak locking, and state the error."""
+    relief, half_difference = find_relief(*offsets, settings, spread)
     locking = peak_locking_bias(smooth, axis.coordinates, axis.locking)
     locking *= locking_attenuation(smooth)
     depth = smooth - locking

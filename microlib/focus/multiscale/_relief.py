@@ -7,8 +7,6 @@ second pixel, depths in averaged frames.
 
 from __future__ import annotations
 
-from functools import reduce
-from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -43,11 +41,15 @@ _OCTAVES = (Octave(0.8, 0.07, 0.03), Octave(2.0, 0.09, 0.046), Octave(2.8, 0.1, 
 #: Sigma of the window in which the directions are compared, and of the window in which the mean
 #: square of their difference is the variance of the noise, px.
 _WINDOW, _NOISE_WINDOW = 10.0, 20.0
+#: Rows of which the relief is found at a time, and the reach of all its windows together.
+_BAND, _REACH = 256, 40
+#: Depths by each direction less a smoothed depth, and their common weight.
+DirectionOffsets = tuple[NDArray, NDArray, NDArray]
 
 
 def direction_offsets(
     depth: NDArray, fits: Fits, axis: Axis, settings: FocusSettings, spread: Spread = map
-) -> tuple[NDArray, NDArray, NDArray]:
+) -> DirectionOffsets:
     """Return the depths by each direction less a smoothed depth, and their common weight."""
     limit, level = settings.jump, np.nan_to_num(depth)
     near = np.isfinite(depth) & (np.abs(fits.depth - depth) < limit)
@@ -90,29 +92,45 @@ def find_relief(
     In each octave both are h + n₁ and h + n₂ with independent noise. Then cov(h + n₁, h + n₂) is
     the variance of the relief h, and cov / var of their mean is the gain of the Wiener filter.
     """
+    relief, half_difference = np.empty((2, *weight.shape), np.float32)
 
-    def means(octave: Octave) -> NDArray:
+    def band(top: int) -> None:
+        start, here = max(top - _REACH, 0), slice(top, top + _BAND)
+        rows = slice(start, top + _BAND + _REACH)
+        found = _relief_of(along[rows], down[rows], weight[rows], settings)
+        for whole, part in zip((relief, half_difference), found, strict=True):
+            whole[here] = part[top - start :][: len(whole[here])]
+
+    list(spread(band, range(0, len(weight), _BAND)))
+    return relief, half_difference
+
+
+def _relief_of(
+    along: NDArray, down: NDArray, weight: NDArray, settings: FocusSettings
+) -> tuple[NDArray, NDArray]:
+    """Do the work of `find_relief` on a band of rows."""
+    scale, relief = np.stack([along, down]), np.zeros((2, *weight.shape), np.float32)
+    for octave in _OCTAVES:
         total = blur(weight, octave.sigma)
-        parts = (blur(part * weight, octave.sigma) for part in (along, down))
-        return np.stack([ratio(part, total) for part in parts])
+        mean = np.stack([ratio(blur(p * weight, octave.sigma), total) for p in (along, down)])
+        a, b = scale - mean
+        relief += _restored(a, b, octave, settings)
+        scale = mean
+    return relief.mean(axis=0) * _mtf_gain(relief, settings), np.subtract(*scale) / 2
 
-    def restored(scales: tuple[NDArray, NDArray], octave: Octave) -> NDArray:
-        a, b = np.subtract(*scales)
-        var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
-        cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
-        # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
-        deviations = np.sqrt(var_a * var_b)
-        scatter = octave.noise_scatter * np.maximum(deviations, np.sqrt(fourth))
-        snr = ratio(cov - octave.noise_correlation * deviations, scatter)
-        significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
-        var_mean = (var_a + var_b + 2 * cov) / 4
-        gain = np.clip(ratio(cov, var_mean), 0, 1) * np.clip(significant, 0, 1)
-        return np.asarray(gain * np.stack([a, b]))
 
-    scales = [np.stack([along, down]), *spread(means, _OCTAVES)]
-    relief = reduce(np.add, spread(restored, pairwise(scales), _OCTAVES))
-    half_difference = np.subtract(*scales[-1]) / 2
-    return relief.mean(axis=0) * _mtf_gain(relief, settings), half_difference
+def _restored(a: NDArray, b: NDArray, octave: Octave, settings: FocusSettings) -> NDArray:
+    """Return the relief of an octave in both directions, less the noise."""
+    var_a, var_b = (np.maximum(blur(f * f, _WINDOW), 0) for f in (a, b))
+    cov, fourth = blur(a * b, _WINDOW), np.maximum(blur((a * b) ** 2, _WINDOW), 0)
+    # Noise alone has a small covariance, too; its scatter rises where few pixels make it.
+    deviations = np.sqrt(var_a * var_b)
+    scatter = octave.noise_scatter * np.maximum(deviations, np.sqrt(fourth))
+    snr = ratio(cov - octave.noise_correlation * deviations, scatter)
+    significant = (snr - settings.snr_low) / (settings.snr_high - settings.snr_low)
+    var_mean = (var_a + var_b + 2 * cov) / 4
+    gain = np.clip(ratio(cov, var_mean), 0, 1) * np.clip(significant, 0, 1)
+    return np.asarray(gain * np.stack([a, b]))
 
 
 def _mtf_gain(relief: NDArray, settings: FocusSettings) -> NDArray[np.float32]:
