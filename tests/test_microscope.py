@@ -97,11 +97,10 @@ def test_microscope_in_nanometers_sees_the_same():
         np.testing.assert_allclose(found, 1e3 * change(ON_SENSOR, *LENS.values()), rtol=1e-9)
 
 
-@given(angles, angles, angles)
-@settings(deadline=None, max_examples=50)
-def test_euler_rotation_equals_scipy_extrinsic_xyz(alpha, beta, gamma):
-    expected = Rotation.from_euler("xyz", [gamma, beta, alpha]).as_matrix()
-    np.testing.assert_allclose(euler_rotation(alpha, beta, gamma), expected, atol=1e-14)
+def test_euler_rotation_equals_scipy_extrinsic_xyz():
+    for alpha, beta, gamma in np.random.default_rng(0).uniform(-np.pi, np.pi, (20, 3)):
+        expected = Rotation.from_euler("xyz", [gamma, beta, alpha]).as_matrix()
+        np.testing.assert_allclose(euler_rotation(alpha, beta, gamma), expected, atol=1e-14)
 
 
 def test_projection_equals_printed_equation():
@@ -184,10 +183,8 @@ def test_projection_behind_objective_is_nan():
     for scope in (SCOPE, replace(SCOPE, distortion=0.0, distortion_k2=0.0)):
         assert np.isnan(scope.project(points)).all(axis=1).tolist() == [False, True]
     corners = [[0.0, 0.0], [639.0, 0.0], [0.0, 469.0], [639.0, 469.0]]
-    edge_on = replace(
-        SCOPE, beta=np.pi / 2, gamma=0.0, distortion=0.0, distortion_k2=0.0
-    ).back_project(corners)
-    assert set(np.isnan(edge_on).any(axis=1)) == {False, True}
+    edge_on = replace(SCOPE, beta=np.pi / 2, gamma=0.0, distortion=0.0, distortion_k2=0.0)
+    assert set(np.isnan(edge_on.back_project(corners)).any(axis=1)) == {False, True}
 
 
 def test_tilt_is_the_angle_of_the_plane_normal_to_the_axis():
@@ -204,13 +201,9 @@ def test_derivatives_of_projection_equal_numerical_ones(name, distortion):
     view = SCOPE.view | {"distortion": distortion}
     world = np.random.default_rng(4).uniform(-1500, 1500, (12, 3))
     # Steps that balance rounding (1e-13 px) against curvature.
-    steps = {
-        "distortion": 1e-13,
-        "distortion_k2": 1e-20,
-        "magnification": 1e-4,
-        "convergence": 1e-9,
-    }
-    step = steps.get(name, 1e-6 if name in ("alpha", "beta", "gamma") else 1.0)
+    steps = {"distortion": 1e-13, "distortion_k2": 1e-20, "magnification": 1e-4}
+    steps |= {"convergence": 1e-9, **dict.fromkeys(TURNS, 1e-6)}
+    step = steps.get(name, 1.0)
     up, down = (
         project_points(world, SCOPE.pitch, view | {name: view[name] + s})[0] for s in (step, -step)
     )
@@ -257,5 +250,3 @@ def test_default_microscope_is_untilted_with_thesis_sensor():
     np.testing.assert_array_equal(scope.principal_point, [327.5, 245.0])
     # M = 2: 99 µm of the plane are 198 µm of the sensor, 20 px.
     np.testing.assert_allclose(scope.project([[99.0, -49.5]]), [[347.5, 235.0]], rtol=1e-12)
-    wide = replace(scope, pixel_pitch=(9.9, 19.8), image_size=(100, 50))
-    np.testing.assert_allclose(wide.project([[99.0, -49.5]]), [[69.5, 19.5]], rtol=1e-12)

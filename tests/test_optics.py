@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from microlib import optics
 from tests.checks import (
@@ -25,7 +23,7 @@ IMAGE = np.random.default_rng(4).normal(90.0, 25.0, (23, 31))
 BLUR = np.linspace(0.3, 2.6, 23)[:, None] + np.linspace(0.0, 1.1, 31) ** 2
 
 
-DISTANCES = np.array([33000.0, 36000.0, 41000.0])
+DISTANCES = np.array([33000.0, 36000.0, 41000.0, 1e7])
 #: A valid call of each function.
 CALLS = {
     optics.BlurLadder: lambda: {"image": IMAGE, "largest": 4.0},
@@ -97,19 +95,12 @@ def test_blur_radius_equals_the_printed_forms():
     f, d_s, r = LENS.values()
     d_o = DISTANCES
     d_i, w_d = 1 / (1 / f - 1 / d_o), 1 / (1 / f - 1 / d_s)
+    np.testing.assert_allclose(optics.image_distance(d_o, f), d_i, rtol=1e-11)
     ours = optics.blur_radius(d_o, **LENS)
     # Rounding only: a difference of distances that agree to a thousandth loses three digits.
     np.testing.assert_allclose(ours, r * (d_i - d_s) / d_i, rtol=1e-11)
     np.testing.assert_allclose(ours, r * d_s * (1 / d_s + 1 / d_o - 1 / f), rtol=1e-11)
     np.testing.assert_allclose(ours, r * d_s * (1 / d_o - 1 / w_d), rtol=1e-11)
-
-
-@given(distance=st.floats(32000, 1e7))
-@settings(deadline=None, max_examples=50)
-def test_image_distance_solves_the_lens_equation(distance):
-    image = optics.image_distance(distance, LENS["focal_length"])
-    # Rounding only; the difference d_o - f loses three digits at most in this range.
-    assert 1 / distance + 1 / image == pytest.approx(1 / LENS["focal_length"], rel=1e-12)
 
 
 def test_blur_radius_is_zero_in_focus_and_signed_by_side():
@@ -151,11 +142,8 @@ def test_varying_defocus_equals_sum_over_kernels_of_pixels():
         kernel = optics.gaussian_kernel(sigma[y, x], 33)
         direct = np.sum(kernel * padded[y : y + 33, x : x + 33])
         assert ours[y, x] == pytest.approx(direct, abs=0.25)  # five times the ladder's rms error
-
-
-def test_defocus_with_zero_sigma_returns_a_copy():
-    image = IMAGE.astype(np.float32)
-    assert not np.shares_memory(optics.defocus(image, 0.0), image)
+    sharp = IMAGE.astype(np.float32)
+    assert not np.shares_memory(optics.defocus(sharp, 0.0), sharp)
 
 
 @pytest.mark.parametrize("largest", [0.3, 0.9, 2.0, 4.7, 9.0])

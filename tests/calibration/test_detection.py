@@ -82,21 +82,6 @@ def test_rendered_area_of_a_circle_is_exact(turn, x, y):
     assert area == pytest.approx(np.pi * 80**2, rel=4e-5)
 
 
-def test_rendered_noise_has_the_given_sigma():
-    clean, noisy = (
-        render_squares(SMALL, imaging=ImagingConditions(noise=sigma), rng=1) for sigma in (0.0, 3.0)
-    )
-    # A standard deviation from 72000 pixels has a standard error of 0.26 %; four times that.
-    assert (noisy - clean).std() == pytest.approx(3.0, rel=0.011)
-
-
-def test_noise_without_generator_and_overlapping_circles_are_rejected():
-    with pytest.raises(ValueError, match="rng"):
-        render_squares(SMALL, imaging=ImagingConditions(noise=3.0))
-    with pytest.raises(ValueError, match="pitch"):
-        render_circles(SMALL, radius=140)
-
-
 # Detection
 
 

@@ -1,5 +1,7 @@
 """The ends of what the renderers take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from skimage.draw import polygon
@@ -7,14 +9,13 @@ from skimage.draw import polygon
 from microlib import synthetic
 from microlib.microscope import Microscope
 
+STRAIGHT = Microscope(2e5, 126e3, 79380.0, tx=-60, ty=-60, pixel_pitch=9.9, image_size=(21, 21))
+
 
 def test_center_pixel_of_a_square_is_dark():
     """Its middle is as far from either side: that leaked a division by zero."""
-    straight = Microscope(
-        200000.0, 126000.0, 79380.0, tx=-60.0, ty=-60.0, pixel_pitch=9.9, image_size=(21, 21)
-    )
-    image = synthetic.render_squares(straight, side=120.0)
-    assert straight.project([[60.0, 60.0]]).round(9).tolist() == [[10.0, 10.0]]
+    image = synthetic.render_squares(STRAIGHT, side=120.0)
+    assert STRAIGHT.project([[60.0, 60.0]]).round(9).tolist() == [[10.0, 10.0]]
     assert image[10, 10] == image.min()
 
 
@@ -46,6 +47,10 @@ def test_edges_equal_dense_sampling():
             synthetic.Embryo(1.0, 0.0, 1.0), rng=3, shape=flat.shape, center=(0.0, 999.0),
             probe=False, noise=3.0, unevenness=0.0,
         ).image,
+        lambda flat: np.rint(synthetic.render_squares(
+            replace(STRAIGHT, tx=9e4, image_size=flat.shape[::-1]), counts=(1, 1), rng=1,
+            imaging=synthetic.ImagingConditions(bright=195.0, noise=3.0),
+        )).astype(np.uint8),
     ],
 )  # fmt: skip
 def test_noise_has_the_given_standard_deviation(draw):

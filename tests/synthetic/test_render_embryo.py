@@ -42,7 +42,9 @@ def test_volume_is_kept_and_rim_has_its_radius(force, rim, c):
     assert -1 / (2 * bend) == pytest.approx(rim, rel=0.03)
 
 
-def test_outline_is_smooth_except_at_the_probe():
+def test_outline_is_round_at_rest_and_else_smooth_except_at_the_probe():
+    x, y = Embryo(1.0, 0.0, 1.0).outline(1.0).T  # nothing presses
+    np.testing.assert_allclose(np.hypot(x, y + 600.0), 600.0, atol=1e-3)
     embryo = Embryo.pressed(150.0, modulus=1.0)
     points = embryo.outline(1.0)
     step = np.diff(np.concatenate([points, points[:1]]), axis=0)
@@ -62,9 +64,7 @@ def test_dented_inverts_pressed():
 
 def test_edges_in_the_image_are_at_the_true_outline():
     embryo = Embryo.pressed(150.0, modulus=1.0)
-    scene = embryo_image(
-        embryo, rng=0, noise=0.0, unevenness=0.0, shape=(260, 600), center=(500.3, 240.7)
-    )
+    scene = embryo_image(embryo, rng=0, shape=(260, 600), center=(500.3, 240.7), **CLEAN)
     rim_x, rim_y = scene.to_pixels([[embryo.rim_radius, 0.0]])[0]
     column = scene.image[:, round(rim_x)].astype(float)
     near = np.arange(round(rim_y) - 3, round(rim_y) + 4)
@@ -89,9 +89,8 @@ def test_probe_ends_on_the_chorion():
     embryo = Embryo.pressed(150.0, modulus=1.0)
     # Under the probe the chorion is flat: at 0.5 µm per pixel its 3 µm are 6 px of its own grey.
     rim = 60.0 - embryo.dimple_depth / 0.5
-    scene = embryo_image(
-        embryo, rng=0, center=(50.0, rim), pixel_size=0.5, shape=(120, 100), **CLEAN
-    )
+    place = {"center": (50.0, rim), "pixel_size": 0.5, "shape": (120, 100)}
+    scene = embryo_image(embryo, rng=0, **place, **CLEAN)
     column = scene.image[:, 50].astype(float)
     assert column[:40] == pytest.approx(42.0, abs=1)
     wall = np.flatnonzero((column > 51) & (column < 100))
@@ -127,12 +126,5 @@ def test_illumination_gradient_has_any_direction():
 def test_tilt_rotates_the_scene_clockwise():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
-    length = 100.0 / scene.pixel_size
-    np.testing.assert_allclose(turned[0], [length * np.cos(0.1), length * np.sin(0.1)])
-    np.testing.assert_allclose(turned[1], [length * np.sin(0.1), -length * np.cos(0.1)])
-    np.testing.assert_allclose(turned[2], 0.0, atol=1e-12)
-
-
-def test_untouched_embryo_is_round():
-    x, y = Embryo(1.0, 0.0, 1.0).outline(1.0).T
-    np.testing.assert_allclose(np.hypot(x, y + 600.0), 600.0, atol=1e-3)
+    wanted = [[np.cos(0.1), np.sin(0.1)], [np.sin(0.1), -np.cos(0.1)], [0, 0]]
+    np.testing.assert_allclose(turned, np.multiply(wanted, 100.0 / scene.pixel_size), atol=1e-12)

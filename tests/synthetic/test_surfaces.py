@@ -31,6 +31,8 @@ def test_textures_have_the_given_contrast_and_scales():
 def test_surfaces_have_the_expected_curvature():
     height, width = 500.0, 40.0
     parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
+    default = synthetic.parabolic_cylinder((61, 61), height)  # as wide as the map
+    np.testing.assert_allclose(default, synthetic.parabolic_cylinder((61, 61), height, width=60.0))
     found = surface_curvature(parabola, pixel_size=10.0, size=3)
     # z'' = -8 h / w² at the crest, w in µm; a window of 3 px is exact on a parabola.
     assert found.mean[30, 30] == pytest.approx(-4 * height / (10 * width) ** 2, rel=1e-9)
@@ -41,11 +43,6 @@ def test_surfaces_have_the_expected_curvature():
     assert found.gaussian[120, 120] == pytest.approx(1 / 400**2, rel=0.01)
     assert ball.max() == pytest.approx(800, rel=1e-3)
     assert ball[0, 0] == 0
-
-
-def test_default_width_of_a_cylinder_is_that_of_the_map():
-    found = synthetic.parabolic_cylinder((5, 31), 9.0)
-    np.testing.assert_allclose(found, synthetic.parabolic_cylinder((5, 31), 9.0, width=30.0))
 
 
 def test_noise_at_white_and_black_is_cut_off():
