@@ -5,9 +5,13 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from threading import Event
+from types import SimpleNamespace
 
 import nbformat
 import pytest
@@ -175,6 +179,21 @@ def test_packages_in_pythonpath_are_rejected(project, start, monkeypatch, capsys
     )
 
 
+def test_kernels_are_interrupted_again_but_not_by_a_second_press(monkeypatch):
+    sent, timers = [], []
+    kernel = SimpleNamespace(has_kernel=True, provisioner=SimpleNamespace(pid=7))
+    monkeypatch.setattr(execution.Kernel, "started", [kernel])
+    monkeypatch.setattr(execution, "interrupted", Event())
+    timer = "Timer", lambda seconds, call: SimpleNamespace(start=partial(timers.append, call))
+    monkeypatch.setattr(execution, *timer)
+    monkeypatch.setattr(os, "killpg", lambda group, number: sent.append((group, number)))
+    execution.interrupt_kernels(signal.SIGINT)
+    execution.interrupt_kernels(signal.SIGINT)
+    assert sent == [(7, signal.SIGINT)]
+    timers.pop()()
+    assert sent == 2 * [(7, signal.SIGINT)]
+
+
 def test_second_run_waits_for_lock(project):
     code = "import sys, pathlib; from compendium import run; "
     code += f"run.BUILD = pathlib.Path({str(project / 'build')!r})\n"
@@ -211,10 +230,13 @@ def test_wrong_arguments_give_one_line(
 def test_run_on_own_data_writes_to_its_own_folder(project, start, source, status):
     write_notebook(project, "01_first", source, 'record = ""\nwidth = 1.0')
     own = ("-p", "record", "2.50", "-p", "width", "-5e1")
+    (project / "mine").mkdir()
+    (log := project / "mine" / "01_first.log.txt").write_text("an error of the run before")
     assert start("01", *own, "--output", "mine") == status
     given = injected(project / "mine" / "01_first.ipynb").source
     assert 'record = "2.50"' in given
     assert "width = -50.0" in given
     files = {path.name for path in (project / "mine").iterdir()}
-    assert files == {"01_first.ipynb", "01_first.log.txt"}
+    assert files == {"01_first.ipynb", log.name}
+    assert "of the run before" not in log.read_text()
     assert not (project / "build" / "status").exists()
