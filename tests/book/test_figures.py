@@ -104,17 +104,18 @@ def test_figure_opens_with_caption_and_closes_in_four_ways(page: Page, html: Pat
     page.goto((html / CHAPTER).as_uri())
     link, dialog = page.locator("#fig-ch3-profile a.enlarge"), page.locator("#figure-dialog")
     width = "document.querySelector('.figure-view img').getBoundingClientRect().width"
-    closings = [
+    button = page.get_by_role("button", name="Close")
+    beside = page.locator(".figure-view")
+    for shut in (
         lambda: page.keyboard.press("Escape"),
         page.go_back,
-        lambda: page.locator(".figure-view").click(position={"x": 3, "y": 3}),
-        lambda: page.get_by_role("button", name="Close").press("Enter"),
-    ]
-    for shut in closings:
+        lambda: beside.click(position={"x": 3, "y": 3}),
+        lambda: button.press("Enter"),
+    ):
         link.press("Enter")
         assert "Focus profile of one pixel" in dialog.inner_text()
         fitting = page.evaluate(width)
-        page.locator(".figure-view").hover()
+        beside.hover()
         page.mouse.wheel(0, -400)
         page.wait_for_function(f"{width} > 1.5 * {fitting}")
         shut()

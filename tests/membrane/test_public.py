@@ -1,5 +1,9 @@
 """The calls of every public function of the membranes: their units and what they refuse."""
 
+from collections.abc import Callable
+from copy import deepcopy
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,112 +27,51 @@ RUBBER = {"law": "mooney-rivlin", "poisson_ratio": 0.5}
 STEEL = {"law": "hooke", "poisson_ratio": 0.3}
 #: A rim of µm and an egg, neither of them a round multiple of another length.
 A, R = 213.0, 570.0
+WALL = {"thickness": 2.6, "probe_half_width": 17.0}
+FILM = {**WALL, "poisson_ratio": 0.31}
+GEOMETRY = {"rim_radius": A, "dimple_depth": 19.0, "probe_half_width": 17.0}
+VALUES = {"force": 43.0, **GEOMETRY, **FILM}
+ERRORS = {"force": 2.0, "thickness": 0.2, "poisson_ratio": 0.02}
+COVARIANCE = np.array([[9.0, 0.8], [0.8, 0.2]])
+DENTED = {"force": 91.0, "rim_radius": 190.0}
 
-
-def wall(um: float) -> dict:
-    return {"thickness": 2.6 * um, "probe_half_width": 17.0 * um}
-
-
-def film(um: float) -> dict:
-    return wall(um) | {"poisson_ratio": 0.31}
-
-
-def dimple(um: float) -> dict:
-    return {"rim_radius": A * um, "dimple_depth": 19.0 * um}
-
-
-def geometry(um: float) -> dict:
-    return dimple(um) | {"probe_half_width": 17.0 * um}
-
-
-def pressed(um: float, uN: float) -> dict:
-    return {"force": 43.0 * uN, **dimple(um), **film(um)}
-
-
-def errors(um: float, uN: float) -> dict:
-    return {"force": 2.0 * uN, "thickness": 0.2 * um, "poisson_ratio": 0.02}
-
-
-#: A valid call of each function, in any units of length and force.
-CALLS = {
-    membrane.elastic_modulus: pressed,
-    membrane.finite_slope_modulus: pressed,
-    membrane.indentation_force: lambda um, uN: {
-        "modulus": 0.7 * uN / um**2,
-        **dimple(um),
-        **film(um),
+#: A valid call of each function, in µm, µN and MPa.
+CALLS: dict[Callable[..., Any], dict[str, Any]] = {
+    membrane.elastic_modulus: VALUES,
+    membrane.finite_slope_modulus: VALUES,
+    membrane.indentation_force: {"modulus": 0.7, **GEOMETRY, **FILM},
+    membrane.dimple_depth: {"force": 43.0, "rim_radius": A, "modulus": 0.7, **FILM},
+    membrane.dimple_profile: {"radius": np.array([20.0, 90.0, 200.0]), **GEOMETRY},
+    membrane.membrane_stress: {"force": 43.0, **GEOMETRY, **WALL},
+    membrane.mean_strain: {**GEOMETRY, "small_slopes": False},
+    membrane.steepest_depth: {"rim_radius": A, "probe_half_width": 17.0},
+    membrane.modulus_uncertainty: {
+        "values": VALUES, "uncertainties": ERRORS, "dimple_covariance": COVARIANCE,
     },
-    membrane.dimple_depth: lambda um, uN: {
-        "force": 43.0 * uN,
-        "rim_radius": A * um,
-        "modulus": 0.7 * uN / um**2,
-        **film(um),
+    membrane.modulus_samples: {"values": VALUES, "uncertainties": ERRORS, "size": 7, "rng": 3},
+    membrane.indent_disc: {
+        "force": 91.0, "modulus": 0.7, "rim_radius": A, **WALL, **RUBBER,
+        "pressure": 2.1e-4, "pretension": 0.03,
     },
-    membrane.dimple_profile: lambda um, uN: {
-        "radius": np.array([20.0, 90.0, 200.0]) * um,
-        **geometry(um),
+    membrane.disc_modulus: {
+        "force": 91.0, "rim_radius": A, "depth": 50.0, **WALL, **STEEL,
+        "pressure": 3e-4, "pretension": 0.0,
     },
-    membrane.membrane_stress: lambda um, uN: {"force": 43.0 * uN, **dimple(um), **wall(um)},
-    membrane.mean_strain: lambda um, uN: {**geometry(um), "small_slopes": False},
-    membrane.steepest_depth: lambda um, uN: {"rim_radius": A * um, "probe_half_width": 17.0 * um},
-    membrane.modulus_uncertainty: lambda um, uN: {
-        "values": pressed(um, uN),
-        "uncertainties": errors(um, uN),
-        "dimple_covariance": np.array([[9.0, 0.8], [0.8, 0.2]]) * um**2,
+    membrane.model_moduli: {**DENTED, "dimple_depth": 70.0, **FILM, "capsule_radius": R},
+    membrane.indent_capsule: {
+        "force": 91.0, "modulus": 0.7, "capsule_radius": R, **WALL, **RUBBER, "inflation": 1.04,
     },
-    membrane.modulus_samples: lambda um, uN: {
-        "values": pressed(um, uN),
-        "uncertainties": errors(um, uN),
-        "size": 7,
-        "rng": 3,
-    },
-    membrane.indent_disc: lambda um, uN: {
-        "force": 91.0 * uN,
-        "modulus": 0.7 * uN / um**2,
-        "rim_radius": A * um,
-        **wall(um),
-        **RUBBER,
-        "pressure": 2.1e-4 * uN / um**2,
-        "pretension": 0.03,
-    },
-    membrane.disc_modulus: lambda um, uN: {
-        "force": 91.0 * uN,
-        "rim_radius": A * um,
-        "depth": 50.0 * um,
-        **wall(um),
-        **STEEL,
-        "pressure": 3e-4 * uN / um**2,
-        "pretension": 0.0,
-    },
-    membrane.model_moduli: lambda um, uN: {
-        "force": 91.0 * uN,
-        "rim_radius": 190.0 * um,
-        "dimple_depth": 70.0 * um,
-        **film(um),
-        "capsule_radius": R * um,
-    },
-    membrane.indent_capsule: lambda um, uN: {
-        "force": 91.0 * uN,
-        "modulus": 0.7 * uN / um**2,
-        "capsule_radius": R * um,
-        **wall(um),
-        **RUBBER,
-        "inflation": 1.04,
-    },
-    membrane.capsule_modulus: lambda um, uN: {
-        "force": 91.0 * uN,
-        "rim_radius": 190.0 * um,
-        "depth": 70.0 * um,
-        "capsule_radius": R * um,
-        **wall(um),
-        **STEEL,
-    },
-}
+    membrane.capsule_modulus: {**DENTED, "depth": 70.0, "capsule_radius": R, **WALL, **STEEL},
+}  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
 
 #: Other units of length and force, and that of a modulus in them.
 UM, UN = 1.7, 0.45
 MPA = UN / UM**2
+LENGTH = ("rim_radius", "dimple_depth", "depth", "radius", "capsule_radius", *WALL)
+#: By what each argument that has a unit is multiplied.
+UNITS = dict.fromkeys(LENGTH, UM) | {"force": UN, "dimple_covariance": UM**2}
+UNITS |= dict.fromkeys(("modulus", "pressure"), MPA)
 LENGTHS = dict.fromkeys(("depth", "approach", "rim_radius", "r", "z"), UM)
 STATE = LENGTHS | dict.fromkeys(("stresses", "pressure"), MPA)
 #: By what each result is multiplied.
@@ -154,7 +97,6 @@ def refused(numbers: list, *positive: str) -> dict:
 
 
 ARRAYS, NUMBERS = refused(BROKEN, "modulus"), refused(NO_NUMBER, "modulus", "capsule_radius")
-VALUES = pressed(1.0, 1.0)
 #: What is refused in place of each argument, beside `ARRAYS` or `NUMBERS`.
 REFUSED = {
     membrane.elastic_modulus: {
@@ -205,14 +147,20 @@ ELEMENTWISE = [
 ]
 
 
+def in_other_units(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the same arguments in the other units, also those in a mapping."""
+    inside = {name: in_other_units(each) for name, each in given.items() if isinstance(each, dict)}
+    return given | inside | {name: given[name] * UNITS[name] for name in given.keys() & UNITS}
+
+
 @each_call
 def test_call_gives_the_same_for_the_same_numbers(function):
-    hold_call(function, lambda: CALLS[function](1.0, 1.0), exact=("poisson_ratio",))
+    hold_call(function, lambda: deepcopy(CALLS[function]), exact=("poisson_ratio",))
 
 
 @each_call
 def test_results_follow_units_of_length_and_force(function):
-    found, plain = function(**CALLS[function](UM, UN)), function(**CALLS[function](1.0, 1.0))
+    found, plain = function(**in_other_units(CALLS[function])), function(**CALLS[function])
     factor = FACTORS[function]
     known = factor if isinstance(factor, dict) else {"factor": factor}
     hold_scaled(found, plain, within=1e-6, **known)  # large deflections are solved to 1e-6
@@ -220,7 +168,7 @@ def test_results_follow_units_of_length_and_force(function):
 
 @each_call
 def test_wrong_arguments_are_refused_by_name(function):
-    given = CALLS[function](1.0, 1.0)
+    given = CALLS[function]
     arrays = function in (*ELEMENTWISE, membrane.dimple_profile)
     wrong = (ARRAYS if arrays else NUMBERS) | REFUSED.get(function, {})
     hold_refused(function, given, {name: wrong[name] for name in given if name in wrong})
@@ -228,7 +176,7 @@ def test_wrong_arguments_are_refused_by_name(function):
 
 @pytest.mark.parametrize("function", ELEMENTWISE, ids=lambda f: f.__name__)
 def test_scalars_give_a_scalar_and_arrays_an_array(function):
-    given = CALLS[function](1.0, 1.0)
+    given = CALLS[function]
     one = function(**given)
     assert isinstance(one, float)
     radius = A * np.array([[1.0], [1.1], [1.2]])

@@ -8,9 +8,7 @@ import pytest
 from book_exercises import read_exercises
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Exercises that a chapter has at least.
-LEAST: dict[str, int] = {"01": 2, "02": 3, "03": 6, "04": 5, "05": 6}
-CHAPTERS = [next((ROOT / "notebooks").glob(f"{number}_*.ipynb")) for number in LEAST]
+CHAPTERS = sorted((ROOT / "notebooks").glob("0[1-5]_*.ipynb"))
 #: Calls that compare or record a number and show nothing.
 CHECKS = re.compile(r"\b(check_equation|ledger\.check|ledger\.report)\(")
 
@@ -25,10 +23,7 @@ def test_exercises_have_kind_time_and_folded_solution(path: Path) -> None:
     text = "\n".join(c.source for c in cells if c.cell_type == "markdown")
     found = read_exercises(path)
     labels = [one.label for one in found]
-    assert len(found) == len(set(labels)) == len(re.findall(r"\{exercise(?:-start)?\}", text))
-    assert len(found) >= LEAST[path.stem[:2]]
-    kinds = {"On paper", "Predict", "Write"} - ({"Write"} if path.stem[:2] == "01" else set())
-    assert {one.kind for one in found} == kinds
+    assert len(found) == len(set(labels)) == len(re.findall(r"\{exercise(?:-start)?\}", text)) > 1
     form = r"\{solution(?:-start)?\} (\S+)\n:class: dropdown$"
     assert re.findall(form, text, re.M) == labels
     assert text.count("{solution-start}") == text.count("{solution-end}")
