@@ -366,11 +366,11 @@ MISFIT = {"adequate": False}
         (32, MISFIT, 3, "is --focal-length that of the objective, the pattern flat"),
         (32, {"lack_of_fit": np.nan}, 1, "too few marks to test whether the model fits"),
         (32, {"high": np.inf, "undetermined": ("f",)}, 1, "the pixel size has no upper limit"),
-        (32, {"aspect_note": "no square"}, 2, "no square; measure it, and give --pitch and --pit"),
+        (32, {"aspect_note": "no square", "print_aspect": 2}, 2, "no square; measure it, and give"),
         (32, {"undetermined": ("alpha", "f")}, 1, "note: alpha, f: undetermined; give --focal"),
     ],
 )
-def test_advice_depends_on_the_calibration(
+def test_each_weakness_of_a_calibration_has_its_note(
     side, changed, views, advice, tmp_path, capsys, monkeypatch
 ):
     """One of the grids has sides of so many px and twice as many, in 400×100 px."""
@@ -767,7 +767,7 @@ def test_help_lists_the_tasks_and_shows_an_example(capsys):
     assert main([]) == 0
     overview = capsys.readouterr().out
     for task in ("depth", "calibrate", "track", "modulus"):
-        assert f"  {task} " in overview
+        assert re.search(rf"^ +{task}\s+[A-Z]", overview, flags=re.M)
         with pytest.raises(SystemExit, match="0"):
             main([task, "--help"])
         assert f"Example: microlib {task} " in capsys.readouterr().out

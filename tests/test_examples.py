@@ -22,7 +22,7 @@ def test_examples_import_every_name_they_use(path):
     assert not told, "".join(told)
 
 
-def test_the_readme_runs():
+def test_python_code_of_the_readme_runs():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, flags=re.S)
     assert snippets

@@ -32,7 +32,7 @@ def test_undetermined_direction_has_infinite_variance_and_leaves_the_others():
 
 
 @pytest.mark.parametrize(("gap", "known"), [(1e-7, True), (1e-11, False)])
-def test_weak_direction_is_determined(gap, known):
+def test_direction_is_determined_unless_rounding_decides(gap, known):
     """Columns that differ by 1e-7 are told apart, with the huge variance that this means; the
     inverse of JᵀJ itself, with 1e-14 beside 1, would be rounding."""
     first, second = np.linalg.qr(rng.normal(size=(40, 2)))[0].T

@@ -26,7 +26,7 @@ class Outer(FlatResult):
     lost: np.bool_
 
 
-def test_row_is_flat_and_json():
+def test_to_dict_gives_a_flat_row_that_json_can_hold():
     inner, covariance = Inner((3.0, 4.0), np.inf), np.array([[1.0, np.nan], [0.5, 2.0]])
     given = {"force": np.float32(0.5)}
     row = Outer(np.ones(9), inner, covariance, given, ("f", "M"), np.bool_(True)).to_dict()

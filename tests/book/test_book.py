@@ -21,7 +21,7 @@ class Links(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.ids: set[str] = set()
-        self.links: list[str] = []
+        self.links: set[str] = set()
         self.loads: list[str] = []
         self.feed(text)
 
@@ -29,7 +29,7 @@ class Links(HTMLParser):
         values = {key: value or "" for key, value in attrs}
         self.ids |= {values[key] for key in ("id", "name") if key in values}
         if tag == "a" and "href" in values:
-            self.links.append(values["href"])
+            self.links.add(values["href"])
         if "src" in values:
             self.loads.append(values["src"])
         if tag == "link" and values.get("rel") not in LEADS_ON:

@@ -10,18 +10,20 @@ from compendium import ROOT, ledger
 from tests.book.browsing import hindrances, open_page
 
 CHAPTER = "notebooks/05_experimental_results.html"
+NOTEBOOKS = ROOT / "build" / "notebooks"
 NUMBER = "table.ledger a[href$='#number-table-5-6-zeta']"
 
 
 def test_cards_say_what_the_ledger_says(page: Page, html: Path) -> None:
     open_page(page, html / CHAPTER)
     cards = page.evaluate("numberCards")
+    sources = {path.stem: path.read_text("utf-8") for path in NOTEBOOKS.glob("*.ipynb")}
     for name, record in records().items():
         card = cards[nodes.make_id(f"number-{name}").removeprefix("number-")]
         rows = {row: text for row, text, *_ in card["rows"]}
         assert (card["label"], rows["Recomputed"]) == (record.verdict, str(record))
-        notebook = (ROOT / "build/notebooks" / f"{record.notebook}.ipynb").read_text("utf-8")
-        if any(rf"ledger.{call}(\"{name}\"" in notebook for call in ("check", "report")):
+        source = sources[record.notebook]
+        if any(rf"ledger.{call}(\"{name}\"" in source for call in ("check", "report")):
             assert f'("{name}"' in rows["Made by"]
         if record.verdict != "result":
             entry = ledger.claim(name)

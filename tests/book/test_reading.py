@@ -18,14 +18,19 @@ CHAPTER = "notebooks/04_mechanical_characterization.html"
 CLAIMS = ledger.claims().values()
 
 
+def article(path: Path) -> str:
+    """Return a page without what all pages have."""
+    return path.read_text("utf-8").partition("<article")[2].partition("</article>")[0]
+
+
 def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
     """Each link to a claim that has the color of a verdict has that of the claim."""
     entries = [*CLAIMS, *ledger.settings().values()]
     known = {nodes.make_id(f"claim-{one.id}"): one.label for one in entries}
     seen: Counter[str] = Counter()
     for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
-        text = path.read_text("utf-8").partition("<article")[2].partition("</article>")[0]
-        for verdict, name in re.findall(r'verdict-([\w-]+)" href="[^"]*#(claim-[^"]+)"', text):
+        pattern = r'verdict-([\w-]+)" href="[^"]*#(claim-[^"]+)"'
+        for verdict, name in re.findall(pattern, article(path)):
             assert verdict == known[name], f"{path.name}: {name}"
             seen[path.stem] += 1
     assert seen["claims"] == len(entries)
@@ -39,10 +44,10 @@ def test_no_sentence_is_repeated_on_another_page(html: Path) -> None:
     """The cells of tables, which the build makes from the ledger, may be repeated."""
     pages = defaultdict(set)
     for path in [*html.glob("*.html"), *html.glob("notebooks/*.html")]:
-        soup = BeautifulSoup(path.read_text("utf-8"), "html.parser")
+        soup = BeautifulSoup(article(path), "html.parser")
         for one in soup.select("table, .headerlink, .erratum-sources"):
             one.decompose()
-        for block in soup.select("article :is(p, figcaption)"):
+        for block in soup.select("p, figcaption"):
             for sentence in re.split(r"(?<=[.:?!]) (?=[A-Z])", " ".join(block.text.split())):
                 if len(sentence.split()) >= 6 and sentence.endswith((".", ":", "?", "!")):
                     pages[sentence].add(path.stem)

@@ -53,7 +53,7 @@ def make(kind: str, **fields: object) -> ledger.Claim:
         ("open", FOUND, (2.5, 2.5, 2.5), False),  # although it equals the printed number
     ],
 )
-def test_each_kind_has_its_own_comparison(kind, fields, numbers, passes):
+def test_claim_of_each_kind_objects_to_wrong_numbers_alone(kind, fields, numbers, passes):
     if passes is None:
         with pytest.raises(TypeError, match="unexpected keyword argument"):
             make(kind, **fields)
@@ -149,7 +149,7 @@ def test_check_refuses_wrong_numbers(id, value, options, message):
         ({"printed": "121.30"}, ""),
     ],
 )
-def test_wrong_entry_fails(monkeypatch, change, message):
+def test_wrong_entry_of_a_claim_is_an_error(monkeypatch, change, message):
     entries = dict(ledger.read_toml("claims.toml"))
     entries["table-5.6/w_d"] = entries["table-5.6/w_d"] | change
     monkeypatch.setattr(ledger, "read_toml", lambda name: entries)

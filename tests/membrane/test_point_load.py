@@ -163,7 +163,7 @@ MODELS = [elastic_modulus, finite_slope_modulus, partial(disc_modulus, law="hook
 
 
 @pytest.mark.parametrize(("depth", "times"), [(3.2, 2.5), (5.9, 0.8)])
-def test_depth_of_a_plate_warns(depth: float, times: float) -> None:
+def test_depth_at_which_bending_carries_the_force_warns(depth: float, times: float) -> None:
     """A clamped plate that only bends, F = 16π D w/a², has a wrong modulus by (5.2)."""
     plate = 16 * np.pi * 1.3 * 3.0**3 / (12 * (1 - FILM["poisson_ratio"] ** 2)) * depth / 250.0**2
     with pytest.warns(UserWarning, match="because the model omits bending") as caught:
