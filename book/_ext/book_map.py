@@ -47,7 +47,7 @@ MENTION = re.compile(
     r"\((?P<bare>\d\.\d+)\)|\b(?P<kind>Figure|Table|figure|table) (?P<number>\d\.\d+)(?!\.?\d)"
 )
 # The index of a symbol in plain text, and not in the id of a claim such as table-5.6/w_d.
-SYMBOL = r"(?:(?<=\b[A-Za-zεκζσ])|(?<=\b[uv][XY])|(?<=πσ)|(?<=x′))(?<![a-z0-9]/\w)"
+SYMBOL = r"(?:(?<=\b[A-Za-zεκζσ])|(?<=\b[uv][XY])|(?<=[2π]σ)|(?<=x′))(?<![A-Za-z.][a-z0-9]/\w)"
 INDEX = re.compile(SYMBOL + r"_([xy]{2}|op|[a-zHK])(?![A-Za-z0-9_])")
 QUOTED = (nodes.FixedTextElement, nodes.literal, nodes.math)
 # Where a link would nest, or change what is quoted.
