@@ -178,6 +178,15 @@ def test_arrays_of_the_kalman_filter_are_copies():
     assert np.isfinite([*kalman.position, *kalman.velocity, *kalman.covariance.ravel()]).all()
 
 
+def test_arrays_of_a_track_are_copies():
+    tracker = ESMTracker(SCENE + NOISE[0], BOX, "affine")
+    for _ in range(2):
+        track = tracker.track(np.random.default_rng(0).normal(0, 28, SCENE.shape))
+        assert track.lost
+        assert track.hidden.all()
+        track.corners[:], track.hidden[:] = np.nan, False
+
+
 def test_refused_input_leaves_state_unchanged():
     refused = [lambda kalman: kalman.update((np.nan, 0)), lambda kalman: kalman.update((1, 2, 3))]
     hold_same_as_new(lambda: used(), lambda kalman: steps(kalman, (15.0, 3.0)), *refused)
