@@ -153,7 +153,7 @@ def test_circles_that_nearly_touch_are_detected(size, blur, fewest, most):
         {"blur": 0.5, "sharpening": 0.7},
         # Here OpenCV's finder gave steps of (2, 1) and (0, 1) fields.
         {"columns": 16, "rows": 12, "pitch": 26.0, "turn": 0.0, "shape": (480, 640)},
-        {"columns": 40, "rows": 28, "pitch": 20.0, "shape": (700, 900)},
+        {"columns": 29, "rows": 20, "pitch": 20.0, "shape": (500, 660)},
         {"columns": 3, "rows": 3, "pitch": 60.0},
         {"columns": 12, "rows": 4, "pitch": 25.0, "k1": -0.15},
         {"columns": 12, "rows": 9, "pitch": 45.0, "turn": 0.3},
@@ -180,7 +180,7 @@ def test_all_inner_corners_of_a_chessboard_are_detected(change):
 def test_all_corners_of_an_unblurred_chessboard_are_detected():
     """The fit of a corner converges slowly where its blur is zero, and ended before."""
     fields = np.indices((9, 10)).sum(axis=0) % 2
-    for side in range(8, 33, 4):
+    for side in (8, 12, 20, 32):
         drawing = np.pad(np.kron(255.0 * fields, np.ones((side, side))), side, constant_values=128)
         assert len(detect_squares(drawing, pattern="chessboard").points) == 72
 
@@ -339,11 +339,6 @@ FOUR = SQUARE[(SQUARE < 2).all(axis=1)]
 STRAY = [[3.6, 0.2], [5.3, 1.5], [4.2, 3.3]]
 
 
-def test_four_circles_are_detected_if_the_image_shows_nothing_else():
-    """Any four points fit a 2 × 2 grid, so they are accepted only if nothing else is there."""
-    assert len(detect_circles(board(FOUR)[0]).points) == 4
-
-
 @pytest.mark.parametrize(
     "image",
     [
@@ -352,7 +347,9 @@ def test_four_circles_are_detected_if_the_image_shows_nothing_else():
     ],
     ids=["three more circles", "clock"],
 )
-def test_four_circles_are_rejected_where_other_regions_remain(image):
+def test_four_circles_are_detected_only_if_the_image_shows_nothing_else(image):
+    """Any four points fit a 2 × 2 grid."""
+    assert len(detect_circles(board(FOUR)[0]).points) == 4
     with pytest.raises(ValueError, match="more circles or nothing else, got 4"):
         detect_circles(image)
 
@@ -382,14 +379,6 @@ def test_corners_that_coincide_are_no_board():
     board = Chessboard(DetectionSettings())
     with pytest.raises(ValueError, match="no corner of a board is left"):
         board._correlated(GreyImage.from_levels(grey), centers, grid)
-
-
-def test_message_about_corners_that_do_not_fit_speaks_of_corners(monkeypatch):
-    image, *_ = chessboard()
-    count = len(detect_squares(image, pattern="chessboard").points)
-    monkeypatch.setattr(patterns, "MIN_MARKS", count + 1)
-    with pytest.raises(ValueError, match=f"the corners of a chessboard, got {count} that fit"):
-        detect_squares(image, pattern="chessboard")
 
 
 def test_sigma_is_that_of_the_residuals_if_larger():

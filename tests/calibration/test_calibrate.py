@@ -439,43 +439,20 @@ def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large():
         assert not found.adequate
 
 
-def wide_angle_views(seed):
-    """Two views of a board of 8 × 6 corners through a wide-angle lens, projected by OpenCV."""
-    rng = np.random.default_rng(seed)
-    camera = np.array([[560.0, 0, 650], [0, 560, 500], [0, 0, 1]])
-    board = np.array([[x, y, 0.0] for y in range(6) for x in range(8)])
-    views = []
-    while len(views) < 2:
-        turn = rng.uniform(-0.9, 0.9, 3)
-        place = np.array([rng.uniform(-6, 2), rng.uniform(-5, 2), rng.uniform(2.5, 7)])
-        x, y, z = (board @ cv2.Rodrigues(turn)[0].T + place).T
-        if z.min() < 0.5:
-            continue
-        lens = np.array([-0.233, 0.062, 0, 0, -0.0076])
-        seen = cv2.projectPoints(board, turn, place, camera, lens)[0][:, 0]
-        seen += rng.normal(0, 0.1, seen.shape)
-        shown = (np.hypot(x, y) < 1.4 * z) & ((seen > 2) & (seen < [1277, 957])).all(axis=1)
-        if shown.sum() >= 20:
-            views.append((board[shown, :2], seen[shown]))
-    return zip(*views, strict=True)
-
-
-@pytest.mark.parametrize("seed", [44, 237])
+@pytest.mark.parametrize("seed", [2, 3])
 def test_estimates_do_not_depend_on_the_unit_of_lengths(seed):
     """In an earlier version rounding decided between a microscope and its equal with M < 0."""
-    world, image = map(list, wide_angle_views(seed))
+    wide = {"principal": 560.0, "spacing": 80.0, "tilt": 0.9, "k1": -0.23, "k2": 0.06}
+    world, image = lens_views(2, **wide, seed=seed)
     results = []
-    for unit, pixel in ((1e-3, 1e-3), (1.0, 4.8), (25e3, 1.0), (25e3, 4.8), (1e6, 4.8e3)):
-        camera = {"pixel_pitch": pixel, "image_size": (1280, 960)}
+    for unit, pixel in ((1.0, 8.0), (1e-6, 1e-5), (1e-3, 0.1), (25.0, 1.0), (1e3, 8e3)):
+        camera = {"pixel_pitch": pixel, "image_size": (640, 480)}
         found = calibrate([unit * each for each in world], image, **camera)
         length = {"": unit / pixel, "µm": 1 / unit, "rad": 1, "px": 1, "1/µm²": pixel**2}
         length |= {"1/µm⁴": pixel**4}
-        each = [
-            length[one.unit] * one.value
-            for name, one in found.parameters.items()
-            if name != "focal_length"
-        ]
-        results.append([*each, found.principal_distance.value, found.principal_distance.high])
+        given = {n: length[one.unit] * one.value for n, one in found.parameters.items()}
+        del given["focal_length"]
+        results.append([*given.values(), found.principal_distance.value])
         assert found.principal_distance.low < 575
         assert found.principal_distance.high > 545
     np.testing.assert_allclose(results, results[:1] * len(results), rtol=1e-5, atol=1e-7)
