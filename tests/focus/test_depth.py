@@ -32,8 +32,8 @@ def printed_depth(stack: np.ndarray, window: int) -> np.ndarray:
     measures = np.array([sum_modified_laplacian(f, window=window).astype(float) for f in stack])
     best = measures.argmax(axis=0)
     m = np.clip(best, 1, len(stack) - 2)
-    below, top, above = (
-        np.log(np.take_along_axis(measures, m[None] + k, 0)[0]) for k in (-1, 0, 1)
+    below, top, above = np.log(
+        [np.take_along_axis(measures, m[None] + k, 0)[0] for k in (-1, 0, 1)]
     )
     d_below, d_top, d_above = (POSITIONS[m + k] for k in (-1, 0, 1))
     numerator = (top - above) * (d_top**2 - d_below**2) - (top - below) * (d_top**2 - d_above**2)
@@ -253,16 +253,13 @@ def test_maps_of_half_the_size_are_not_held_longer_than_they_are_used(register):
     assert peak < 50
 
 
-@pytest.mark.parametrize("color", [False, True])
-@pytest.mark.parametrize("register", [False, True])
+@pytest.mark.parametrize(("color", "register"), [(False, True), (True, False)])
 def test_progress_rises_to_the_number_of_stages_times_that_of_frames(color, register):
     frames = stack_of(4.0 + tilted_plane((40, 44), 0.05, 0.02), np.arange(9.0))
-    if color:
-        frames = np.repeat(frames[..., None], 3, axis=3)
+    frames = np.repeat(frames[..., None], 3, axis=3) if color else frames
     calls = []
-    depth_from_focus(
-        frames, spacing=1, register=register, progress=lambda *done: calls.append(done)
-    )
+    progress = lambda *done: calls.append(done)  # noqa: E731
+    depth_from_focus(frames, spacing=1, register=register, progress=progress)
     parts = 36 if register else 27
     assert calls[:9] == [(k + 1, parts) for k in range(9)]  # one for each frame that is read
     assert calls == sorted(calls)

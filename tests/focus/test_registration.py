@@ -7,7 +7,6 @@ light after that.
 from __future__ import annotations
 
 import tracemalloc
-import warnings
 from functools import cache
 from pathlib import Path
 
@@ -79,9 +78,7 @@ def at_rest(kind: str, seed: int, level: float = 1.0) -> NDArray:
 
 def registered(kind: str, seed: int, **how: float) -> FocusResult:
     frames, _ = scene(kind, seed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return depth_from_focus(disturbed(frames, seed, **how), POSITIONS, register=True)
+    return depth_from_focus(disturbed(frames, seed, **how), POSITIONS, register=True)
 
 
 def ratio(kind: str, seed: int, found: NDArray, level: float = 1.0) -> float:
@@ -119,8 +116,6 @@ def test_registration_removes_motion_and_flicker(
 
 def test_registration_recovers_warps_and_gains() -> None:
     result = registered("dome", 1, shift=0.5, turn=3.0, scale=0.02, drift=2.0, level=0.65)
-    assert result.warps is not None
-    assert result.gain is not None
     number = np.arange(COUNT) - MIDDLE
     center = np.array([(SIDE - 1) / 2, (SIDE - 1) / 2, 1.0])
     moved = result.warps @ center - center[:2]
@@ -157,7 +152,6 @@ def test_registration_recovers_offsets() -> None:
     true = np.random.default_rng(0).uniform(-8, 8, COUNT) + 30 * gain**4
     stack = np.float32(still) * gain[:, None, None] + true[:, None, None]
     result = depth_from_focus(stack, POSITIONS, register=True)
-    assert result.offset is not None
     near = slice(MIDDLE - 4, MIDDLE + 5)
     # Gain and offset of a link share one error: 0.5 % of 128 grey levels.
     expected = true - gain / gain[MIDDLE] * true[MIDDLE]
@@ -177,10 +171,8 @@ def test_blur_that_grows_across_the_image_is_no_motion() -> None:
     columns, frames = np.arange(cols), []
     for k in range(count):
         place = np.interp(np.linspace(1.0, 1.0 + 0.6 * k, cols), sigma, np.arange(26))
-        near, part = place.astype(int), place - place.astype(int)
-        frames.append(
-            (1 - part) * ladder[near, :, columns].T + part * ladder[near + 1, :, columns].T
-        )
+        low, high = (ladder[place.astype(int) + n, :, columns].T for n in (0, 1))
+        frames.append(low + (place % 1) * (high - low))
     warps = depth_from_focus(frames, spacing=1.0, register=True).warps
     moved = warps[:, 0] @ [cols / 2, rows / 2, 1] - cols / 2
     np.testing.assert_allclose(np.diff(moved), 0, atol=0.0015)
@@ -210,9 +202,7 @@ def test_frames_that_are_found_to_move_are_registered_by_auto(how: dict[str, flo
 
 def test_frames_at_rest_are_not_registered_by_auto() -> None:
     stack = disturbed(scene("dome", 1)[0], 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        result = depth_from_focus(stack, POSITIONS, register="auto")
+    result = depth_from_focus(stack, POSITIONS, register="auto")  # a warning would be an error
     assert not result.to_dict()["registered"]
     assert_same(result, depth_from_focus(stack, POSITIONS))
 
@@ -221,8 +211,6 @@ def test_only_brightness_is_corrected_by_auto_where_only_light_changes() -> None
     stack = disturbed(scene("tilt", 1)[0], 1, drift=2.0, level=0.65)
     with pytest.warns(UserWarning, match=r"change in light .*: brightness corrected"):
         result = depth_from_focus(stack, POSITIONS, register="auto")
-    assert result.warps is not None
-    assert result.gain is not None
     np.testing.assert_array_equal(result.warps, np.broadcast_to(np.eye(2, 3), (COUNT, 2, 3)))
     true = 2.0 ** ((np.arange(COUNT) - MIDDLE) / (COUNT - 1))
     np.testing.assert_allclose(result.gain / true, 1, atol=0.01)
@@ -234,20 +222,18 @@ def assert_same(result: FocusResult, other: FocusResult) -> None:
     np.testing.assert_allclose(result.depth, other.depth, atol=1e-5)
 
 
-@pytest.mark.parametrize("color", [False, True])
-def test_registration_adds_no_copy_of_the_stack(color: bool) -> None:
+@pytest.mark.filterwarnings("ignore")
+def test_registration_adds_no_copy_of_the_stack() -> None:
     """Aligned copies of all frames were twice the grey stack, and five times before that."""
-    stack = np.tile(disturbed(scene("dome", 1)[0], 1, shift=1.0)[3:12], (1, 5, 5))
-    stack = np.repeat(stack[..., None], 3, axis=3) if color else stack
-    peaks = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    grey = np.tile(disturbed(scene("dome", 1)[0], 1, shift=1.0)[3:12], (1, 4, 4))
+    for stack in (grey, np.repeat(grey[:, :480, :480, None], 3, axis=3)):
+        peaks = []
         for register in (False, True):
             tracemalloc.start()
             depth_from_focus(stack, POSITIONS[3:12], register=register)
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
-    assert peaks[1] - peaks[0] < 0.5 * stack.nbytes
+        assert peaks[1] - peaks[0] < 0.5 * stack.nbytes
 
 
 def test_rows_far_below_the_first_are_registered() -> None:
@@ -261,24 +247,21 @@ def test_rows_far_below_the_first_are_registered() -> None:
     assert errors[1] < 1.5 * errors[0]
 
 
-@pytest.mark.parametrize("register", [False, True])
-def test_colors_of_a_file_are_not_held_while_depths_are_computed(
-    register: bool, tmp_path: Path
-) -> None:
-    grey = np.tile(disturbed(scene("dome", 1)[0], 1), (1, 3, 3))
+def test_colors_of_a_file_are_not_held_while_depths_are_computed(tmp_path: Path) -> None:
+    grey = np.tile(disturbed(scene("dome", 1)[0], 1), (1, 2, 2))
     color = np.stack([grey, 255 - grey, grey // 2], axis=3)
     tifffile.imwrite(tmp_path / "a.tif", color, photometric="rgb")
-    expected = depth_from_focus(color, POSITIONS, register=register)
-    peaks = []
-    for held in (list(read_frames(tmp_path / "a.tif", color=True)), tmp_path / "a.tif"):
-        tracemalloc.start()
-        frames = held if isinstance(held, Path) else [frame.copy() for frame in held]
-        result = depth_from_focus(frames, POSITIONS, register=register)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-        assert_same(result, expected)
-        np.testing.assert_array_equal(result.all_in_focus, expected.all_in_focus)
-    assert peaks[0] - peaks[1] > 0.8 * color.nbytes
+    for register in (False, True):
+        peaks, results = [], []
+        for held in (list(read_frames(tmp_path / "a.tif", color=True)), tmp_path / "a.tif"):
+            tracemalloc.start()
+            frames = held if isinstance(held, Path) else [frame.copy() for frame in held]
+            results.append(depth_from_focus(frames, POSITIONS, register=register))
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+        assert_same(*results)
+        np.testing.assert_array_equal(results[0].all_in_focus, results[1].all_in_focus)
+        assert peaks[0] - peaks[1] > 0.8 * color.nbytes
 
 
 def test_depth_is_nan_where_a_frame_shows_nothing() -> None:
@@ -298,7 +281,6 @@ def test_foreign_frame_is_reported_and_left_out() -> None:
     stack[5] = disturbed(scene("dome", 9)[0], 1)[5]
     with pytest.warns(UserWarning, match="frames 5 cannot be registered: left out"):
         result = depth_from_focus(stack, POSITIONS, register=True)
-    assert result.warps is not None
     assert np.flatnonzero(np.isnan(result.warps[:, 0, 0])).tolist() == [5]
     assert 5 not in result.index
     assert result.index.max() > 9  # numbers are those of the whole stack

@@ -80,9 +80,8 @@ def test_bad_frame_is_left_out_and_the_depth_is_accurate(kind: str) -> None:
         texture = synthetic.mixed_texture((112, 144), rng)
         texture[:, 64:] = rng.uniform(60, 140)
         depth = np.full(texture.shape, rng.uniform(0.35, 0.65) * z[-1])
-        stack = stack_of(
-            depth, z, texture=texture, rate=0.1, noise=10 ** rng.uniform(-0.3, 0.7), seed=case
-        )
+        noise = 10 ** rng.uniform(-0.3, 0.7)
+        stack = stack_of(depth, z, texture=texture, rate=0.1, noise=noise, seed=case)
         best = int(np.argmin(np.abs(z - depth[0, 0])))
         first = 1 if kind == "frozen" else 0  # frame 0 cannot repeat a frame before it
         place = [first, len(z) - 1, int(rng.integers(1, len(z) - 1)), best, 1][case]
@@ -92,12 +91,10 @@ def test_bad_frame_is_left_out_and_the_depth_is_accurate(kind: str) -> None:
                 found = depth_from_focus(stack, z, measure=measure)
             certain.append(np.mean(found.uncertainty[:, 88:] < 0.2 * z[-1]))
             assert not np.any(found.index == place)
-            error, stated = (
-                part[8:-8, 8:48] for part in (np.abs(found.depth - depth), found.uncertainty)
-            )
+            error = np.abs(found.depth - depth)[8:-8, 8:48]
             assert np.isfinite(error).mean() > 0.98
             # 0.8 µm, a tenth of the frame spacing, allows for peak locking.
-            assert np.mean(error < 3 * stated + 0.8) > 0.95
+            assert np.mean(error < 3 * found.uncertainty[8:-8, 8:48] + 0.8) > 0.95
     assert all(np.mean(certain) <= 0.02 for certain in shares.values())
 
 
@@ -158,7 +155,7 @@ def test_intervals_contain_heights_whatever_the_shape_of_the_peaks(measure, leas
     assert np.mean(held) > least, np.round(held, 2)
 
 
-@pytest.mark.parametrize("width", [4, 5, 6, 8, 10])
+@pytest.mark.parametrize("width", [4, 6, 10])
 def test_wrong_depth_of_a_thin_bar_is_uncertain(width: int) -> None:
     """Bars in random directions, 5 and 12 frames above ground of the same texture, ten draws.
 
@@ -217,9 +214,7 @@ def test_object_on_dark_ground_has_no_margin() -> None:
     distance = np.hypot(x - 64, y - 56)
     texture = synthetic.mixed_texture(y.shape, 6) * (distance < 40.0)
     stack = stack_of(np.full(y.shape, 41.0), z, texture=texture, rate=0.1, noise=1.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        found = depth_from_focus(stack, z)
+    found = depth_from_focus(stack, z)  # a warning here would be an error (pyproject)
     assert np.isfinite(found.depth[distance < 30]).mean() > 0.98
 
 
@@ -236,24 +231,20 @@ def test_warning_of_drift_or_flicker_names_the_option_that_corrects_it(measure):
             depth_from_focus(stack, z, measure=measure)
 
 
-@pytest.mark.parametrize(("growth", "turn"), [(1.004, 0), (0.996, 0), (1.0165, 0), (1, 0.3)])
-@pytest.mark.parametrize("color", [False, True])
+@pytest.mark.parametrize(
+    ("growth", "turn", "color"),
+    [(1.004, 0, False), (0.996, 0, True), (1.0165, 0, False), (1, 0.3, True)],
+)
 def test_image_that_grows_or_turns_gives_a_warning_as_one_that_shifts(growth, turn, color):
     """As focus breathing does; the error is ten times that at rest."""
     side, z = 384, 5.0 * np.arange(12)
     dome = synthetic.paraboloid((side, side), height=45.0) + 5
     texture = synthetic.mixed_texture((side, side), 3)
     still = synthetic.focal_stack(texture, dome, z, blur_rate=0.1).astype(np.float32)
-    moved = [
-        cv2.warpAffine(
-            frame,
-            cv2.getRotationMatrix2D((side / 2, side / 2), turn * (k - 6), growth ** (k - 6)),
-            (side, side),
-            flags=cv2.INTER_CUBIC,
-            borderMode=cv2.BORDER_REFLECT,
-        )
-        for k, frame in enumerate(still)
-    ]
+    moved, how = [], {"flags": cv2.INTER_CUBIC, "borderMode": cv2.BORDER_REFLECT}
+    for k, frame in enumerate(still, start=-6):
+        matrix = cv2.getRotationMatrix2D((side / 2, side / 2), turn * k, growth**k)
+        moved.append(cv2.warpAffine(frame, matrix, (side, side), **how))
     stack = np.clip(np.rint(moved), 0, 255).astype(np.uint8)
     stack = np.repeat(stack[..., None], 3, axis=3) if color else stack
     with pytest.warns(UserWarning, match=r"change in position or scale .*register=True"):
@@ -268,6 +259,4 @@ def test_stack_at_rest_whose_light_hardly_changes_gives_no_warning(count, gain, 
     for slope in (0.0, 0.08):  # a surface that comes into focus from one side to the other
         stack = stack_of(7 + tilted_plane((128, 160), slope, 0.0), z)
         lit = 0.8 * gains[:, None, None] * stack
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            depth_from_focus(lit.astype(np.uint8), z)
+        depth_from_focus(lit.astype(np.uint8), z)  # a warning here would be an error (pyproject)
