@@ -68,13 +68,3 @@ def claims_folder() -> Path:
 @pytest.fixture(scope="session")
 def html() -> Path:
     return built(ROOT / "build" / "html").resolve()
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
-    """Say in the last line, after pytest's own, that no browser opened the book."""
-    yield
-    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    skipped = reporter.stats.get("skipped", []) if reporter else []  # absent in xdist's workers
-    if count := sum("no Chromium" in str(report.longrepr) for report in skipped):
-        reporter.write_line(f"There is no Chromium to open the book in; tests skipped: {count}")

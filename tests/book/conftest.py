@@ -18,10 +18,7 @@ def browser() -> Iterator[Browser]:
             pytest.fail("CI must install a Chromium")
         pytest.skip("no Chromium on this machine (set CHROMIUM to its path)")
     with sync_playwright() as playwright:
-        instance = playwright.chromium.launch(
-            executable_path=executable,
-            chromium_sandbox=False,
-        )
+        instance = playwright.chromium.launch(executable_path=executable, chromium_sandbox=False)
         yield instance
         instance.close()
 

@@ -60,11 +60,7 @@ def fit(boundary):
 
 
 @settings(deadline=None, max_examples=25)
-@given(
-    depth=st.floats(40.0, 150.0),
-    rim=st.floats(350.0, 600.0),
-    tilt=st.floats(-0.06, 0.06),
-)
+@given(depth=st.floats(40.0, 150.0), rim=st.floats(350.0, 600.0), tilt=st.floats(-0.06, 0.06))
 @example(depth=47.5, rim=431.0, tilt=0.0)  # a fifth of its points lie on the flank
 def test_fit_dimple_recovers_dimple_of_exact_outline(depth, rim, tilt):
     embryo = Embryo.dented(depth, modulus=1.0, rim_curvature_radius=rim)

@@ -231,8 +231,7 @@ def test_exponents_are_slopes_of_logarithm_of_modulus() -> None:
 
 
 @pytest.mark.parametrize(
-    ("half_width", "inflation", "force"),
-    [(60.0, 1.03, 40.0), (40.0, 1.05, 30.0)],
+    ("half_width", "inflation", "force"), [(60.0, 1.03, 40.0), (40.0, 1.05, 30.0)]
 )
 def test_dimple_of_two_capsules_is_rejected(
     half_width: float, inflation: float, force: float

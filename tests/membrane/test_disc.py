@@ -49,13 +49,14 @@ def test_ratio_to_point_load_modulus_matches_independent_solver(
         {"pressure": 0},
         {},
         {"pretension": 0.03},
-        {"law": "hooke"},
+        {"law": "hooke", "poisson_ratio": 0.3},
         {"law": "mooney-rivlin", "pretension": 0.05},
     ],
 )
 def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
-    less, more = states = [indent_disc(k * F, A, modulus=1.0, **DISC, **kw) for k in (0.98, 1.02)]
-    energies = [stored(state, kw.get("law", "neo-hooke"), 1.0, H) for state in states]
+    given = {"law": "neo-hooke", **DISC, **kw}
+    less, more = states = [indent_disc(k * F, A, modulus=1.0, **given) for k in (0.98, 1.02)]
+    energies = [stored(s, given["law"], 1.0, H, given["poisson_ratio"]) for s in states]
     # Between the disc and its rim's plane, that below the probe included.
     volumes = [np.pi * C**2 * s.depth - np.trapezoid(2 * np.pi * s.r * s.z, s.r) for s in states]
     p = (less.pressure + more.pressure) / 2
