@@ -64,18 +64,6 @@ def test_wrong_arguments_are_refused_by_name(function):
     hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
 
 
-def test_distances_and_blur_are_lengths():
-    in_nm = {name: 1e3 * length for name, length in LENS.items()}
-    wanted = 1e3 * optics.blur_radius(DISTANCES, **LENS)
-    # A difference of distances that agree to a thousandth.
-    np.testing.assert_allclose(optics.blur_radius(1e3 * DISTANCES, **in_nm), wanted, rtol=1e-8)
-    wanted = 1e3 * optics.image_distance(DISTANCES, LENS["focal_length"])
-    found = optics.image_distance(1e3 * DISTANCES, in_nm["focal_length"])
-    np.testing.assert_allclose(found, wanted)
-    found = optics.gaussian_transfer(0.4 / 0.6, np.array([-0.3, 0.7]) / 0.6, 1.3 * 0.6)
-    np.testing.assert_allclose(found, optics.gaussian_transfer(0.4, [-0.3, 0.7], 1.3))
-
-
 @pytest.mark.parametrize("gain", [1 / 255, 257.0])
 def test_blurred_grey_levels_follow_gain_and_offset(gain):
     for sigma in (1.7, BLUR):

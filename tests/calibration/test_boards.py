@@ -90,6 +90,8 @@ def test_points_are_accurate_for_any_marks_blur_and_noise(kind, size, blur, nois
     found = DETECT[kind](image)
     assert len(found.points) == len(truth)
     assert rms(errors(found, truth)) < most
+    steps = np.linalg.lstsq(found.positions - found.positions.mean(axis=0), found.points)[0]
+    assert np.linalg.det(steps) > 0  # y is clockwise from x
     # 35 independent centers give the ratio to ±8 %, corners of shared lines less. Edges are drawn
     # to an eighth of a pixel, which adds to the noise where they are sharp.
     assert blur < 1 or 0.8 < over_sigma(found, truth) < 1.3
@@ -186,9 +188,9 @@ def test_all_corners_of_an_unblurred_chessboard_are_detected():
 
 
 def test_random_chessboards_are_indexed_without_skipped_fields():
-    """Ten boards; at 0.4.0 one in five had a sublattice, with steps of (2, 1) fields."""
+    """Eight boards; at 0.4.0 one in five had a sublattice, with steps of (2, 1) fields."""
     rng = np.random.default_rng(12)
-    for _ in range(10):
+    for _ in range(8):
         columns, rows = rng.integers(12, 26), rng.integers(8, 18)
         drawn = {"pitch": rng.uniform(16, 22), "turn": rng.uniform(-0.2, 0.2)}
         drawn |= {"k1": rng.uniform(-0.05, 0.05), "blur": rng.uniform(0.6, 1.2)}

@@ -121,7 +121,7 @@ def test_linear_intrinsics_are_exact_without_distortion(distortion, precision):
     magnification=st.floats(0.8, 10),
     distortion=st.floats(-1e-9, 1e-9),
 )
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 def test_exact_data_give_exact_pose_and_lens(
     alpha, beta, gamma, behind, shift, magnification, distortion
 ):
@@ -281,7 +281,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
 @pytest.mark.parametrize("views", [1, 3])
 def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise):
     """The last bit of exact points is random. With f given, exact points determine the tilt."""
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         f = 2e5 / rng.uniform(0.8, 5)
         lens = 2e5, f, f**2 / 2e5, rng.choice([0.0, -8.4e-10, 5e-10])

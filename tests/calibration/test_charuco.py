@@ -36,7 +36,7 @@ def charuco(columns=7, rows=5, name="4X4_50", ratio=0.7, *, old=False, left=0):
         {"columns": 9, "rows": 6, "name": "5X5_100", "ratio": 0.6, "left": 170},
         {"columns": 8, "rows": 6, "name": "APRILTAG_36h11", "ratio": 0.75},
         {"columns": 8, "rows": 6, "name": "ARUCO_MIP_36h12", "ratio": 0.75},
-        {"columns": 30, "rows": 12, "name": "4X4_1000"},
+        {"columns": 22, "rows": 10, "name": "4X4_1000"},
     ],
 )
 def test_charuco_corners_are_accurate_and_named(drawn):

@@ -119,14 +119,6 @@ def test_corrected_depths_and_peaks_follow_unit_and_origin(um, z0):
     hold_scaled(found, three_point_peak(WINDOW, INDEX, Z), there, within=1e-4)
 
 
-@pytest.mark.parametrize("grey", [1 / 255, 257.0])
-def test_laplacian_follows_unit_and_origin_of_grey_levels(grey):
-    given = {"window": 5, "step": 2}
-    found = sum_modified_laplacian(grey * (STACK[3] + 7.0), threshold=9.5 * grey, **given)
-    plain = sum_modified_laplacian(STACK[3], threshold=9.5, **given)
-    hold_scaled(found, plain, grey, within=1e-4)
-
-
 @each_view
 def test_depth_follows_flips_and_rotations(view):
     """Of sides that are multiples of four, which the coarser grids leave whole."""
