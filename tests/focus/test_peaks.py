@@ -16,10 +16,8 @@ from microlib.focus.multiscale import (
     _rules,
     _settings,
     _tiles,
-    multiscale_depth,
 )
-from tests.scenes import tilted_plane
-from tests.scenes.focus import gaussian_blur, inner, rms, stack_of
+from tests.scenes.focus import gaussian_blur, inner, rms
 
 
 @settings(deadline=None, max_examples=100)
@@ -190,17 +188,3 @@ def test_rules_reject_small_pieces_and_isolated_depths_only():
         peaks = peaks.without(rule(peaks, _settings.FocusSettings()))
     depth[small] = depth[alone] = np.nan
     np.testing.assert_array_equal(peaks.depth, depth)
-
-
-def test_rule_rejects_peaks_of_end_frames_by_best_and_count():
-    def end_mask(peaks, settings):
-        return (peaks.best == 0) | (peaks.best == peaks.count - 1)
-
-    positions = np.linspace(0, 10, 31)
-    frames = list(stack_of(tilted_plane((92, 100), 0.14, 0.0) + 5, positions))
-    every = multiscale_depth(frames, positions)
-    inside = multiscale_depth(frames, positions, rules=[*_rules.RULES, end_mask])
-    assert 0.2 < every.at_end.mean() < 0.5
-    np.testing.assert_array_equal(
-        np.isfinite(inside.depth), np.isfinite(every.depth) & ~every.at_end
-    )

@@ -144,13 +144,6 @@ def test_positions_and_times_belong_to_the_selected_channel(tmp_path):
     assert [found.time(k) for k in range(3)] == pytest.approx([0, 5, 19])
 
 
-def test_warning_of_positions_that_are_not_monotonic_names_them_and_the_spacing(tmp_path):
-    path = write_ome(tmp_path, PhysicalSizeZ=9, Plane=planes([40, 30, 50], "µm"))
-    message = r"not all rise or fall, as 40 and 30 µm, and a spacing of 9 µm: the latter is used"
-    with pytest.warns(UserWarning, match=message):
-        read_frames(path)
-
-
 @pytest.mark.parametrize("axis", ["C", "T"])
 def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
     about = {"PhysicalSizeZ": 9, "axes": f"{axis}YX"}
