@@ -112,15 +112,6 @@ def test_track_follows_unit_of_grey_levels(grey):
     hold_scaled(found.to_dict(), plain.to_dict(), within=2e-3, bias=grey)
 
 
-def test_way_has_the_units_of_rate_and_pixel_size():
-    plain, s, um = track_all(**film()), 2.3, 1.7
-    found = track_all(**film() | {"rate": 25.0 / s, "pixel_size": 1.5 * um})
-    hold_scaled(found, plain, time_s=s, x_um=um, y_um=um)
-    np.testing.assert_allclose(plain["time_s"], [0, 1 / 25])
-    way = plain["center_x"] - plain["center_x"][0]
-    np.testing.assert_allclose(plain["x_um"], 1.5 * way, atol=1e-9)
-
-
 @pytest.mark.parametrize(("px", "s", "start"), [(0.6, 2.3, START), (1.0, 1.0, START + 31.0)])
 def test_kalman_filter_follows_units_and_origin(px, s, start):
     measured = np.array([8.7, -6.2])
