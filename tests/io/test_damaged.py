@@ -133,35 +133,26 @@ def test_truncated_picture_is_rejected(stack, tmp_path, name, share):
     rejects([stack[1], path], f"{name}: damaged, too large or of an unknown format")
 
 
-def test_jpeg_whose_rest_was_not_copied_is_rejected(tmp_path):
-    """OpenCV fills it up; the thumbnail of a camera has a marker of the end of its own."""
-    rng = np.random.default_rng(0)
-    sizes = {"small": (30, 40), "whole": (120, 160)}
-    files = [
-        make.picture(tmp_path / f"{k}.jpg", rng.integers(0, 255, sizes[k], np.uint8)) for k in sizes
-    ]
-    small, whole = (file.read_bytes() for file in files)
-    segment = b"\xff\xe2" + (len(small) + 2).to_bytes(2, "big") + small
-    whole = whole[:2] + segment + whole[2:]
-    assert read_grey(make.content(files[1], whole)).shape == sizes["whole"]
-    make.content(files[1], whole[: len(whole) * 2 // 3].ljust(len(whole), b"\0"))
-    with pytest.raises(ValueError, match=r"whole\.jpg: damaged"):
-        read_grey(files[1])
-
-
 @pytest.mark.parametrize("progressive", [False, True])
-def test_video_behind_a_jpeg_is_ignored(tmp_path, progressive):
-    """Phones store one, in which any markers occur; a JPEG that is cut before it is damaged."""
-    image = Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 48), np.uint8))
-    path = tmp_path / "PXL_1.MP.jpg"
-    image.save(path, progressive=progressive, quality=95)
-    whole, alone = path.read_bytes(), read_grey(path)
+def test_jpeg_is_read_with_a_video_behind_it_and_rejected_if_its_end_is_missing(
+    tmp_path, progressive
+):
+    """Phones store a video there, in which any markers occur; OpenCV fills up what is missing.
+
+    The thumbnail of a camera has a marker of the end of its own.
+    """
+    files, rng = [tmp_path / "small.jpg", tmp_path / "PXL_1.MP.jpg"], np.random.default_rng(0)
+    for file, shape in zip(files, ((30, 40), (64, 48)), strict=True):
+        image = Image.fromarray(rng.integers(0, 255, shape, np.uint8))
+        image.save(file, progressive=progressive, quality=95)
+    (small, whole), alone = (file.read_bytes() for file in files), read_grey(files[1])
+    whole = whole[:2] + b"\xff\xe2" + (len(small) + 2).to_bytes(2, "big") + small + whole[2:]
     for video in (b"\xff\xda", b"\xff\xd9\0\xff\xda\0", b"\xff\xd8\xff\xda\0\0"):
-        make.content(path, whole + b"\0\0\0\x18ftypmp42" + video)
-        np.testing.assert_array_equal(read_grey(path), alone)
-    make.content(path, whole[: len(whole) // 2] + b"\0" * 999)
+        make.content(files[1], whole + b"\0\0\0\x18ftypmp42" + video)
+        np.testing.assert_array_equal(read_grey(files[1]), alone)
+    make.content(files[1], whole[: len(whole) * 3 // 4].ljust(len(whole) + 999, b"\0"))
     with pytest.raises(ValueError, match=r"MP\.jpg: damaged"):
-        read_grey(path)
+        read_grey(files[1])
 
 
 @pytest.mark.parametrize(

@@ -256,20 +256,6 @@ def test_axis_or_number_is_rejected_where_frames_have_no_such_axis(stack, option
             read_frames(source, **options)
 
 
-@pytest.mark.parametrize(
-    ("kind", "about"),
-    [
-        ("OME", {"PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 3.0}),
-        ("ImageJ", {"spacing": 3.0, "unit": "um"}),
-    ],
-)
-def test_frames_along_time_have_no_positions(stack, tmp_path, kind, about):
-    name, how = make.TIFFS[kind]
-    how = how | {"resolution": (0.5, 0.5), "metadata": {"axes": "TYX", **about}}
-    reader = read_frames(make.tiff(tmp_path / name, stack, **how))
-    assert (reader.axis, reader.pixel_size, reader.positions) == ("T", 2.0, None)
-
-
 def test_axis_of_color_frames_is_read_from_metadata(stack, tmp_path):
     for axis in "ZTQ":
         frames = np.repeat(stack[..., None], 3, axis=3)

@@ -167,15 +167,17 @@ def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
     ],
 )
 def test_times_of_a_film_are_those_of_its_ome_metadata(tmp_path, about, times):
-    film = read_frames(write_ome(tmp_path, **about | {"axes": "TYX"}))
+    film = read_frames(write_ome(tmp_path, **about | {"axes": "TYX", "PhysicalSizeZ": 3.0}))
+    assert (film.axis, film.positions) == ("T", None)
     assert [film.time(k) for k in range(3)] == pytest.approx(times)
 
 
 def test_times_of_an_imagej_film_are_even(tmp_path):
-    for axis, times in (("T", [0, 0.2, 0.4]), ("Z", [None] * 3)):
-        about = {"axes": f"{axis}YX", "finterval": 0.2}
+    for axis, times, spaced in (("T", [0, 0.2, 0.4], False), ("Z", [None] * 3, True)):
+        about = {"axes": f"{axis}YX", "finterval": 0.2, "spacing": 3.0, "unit": "um"}
         film = read_frames(tiff(tmp_path / "a.tif", STACK, imagej=True, metadata=about))
         assert [film.time(k) for k in range(3)] == pytest.approx(times)
+        assert (film.positions is not None) == spaced
 
 
 def test_positions_follow_the_numbers_of_the_planes(tmp_path):
