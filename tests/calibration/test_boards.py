@@ -370,7 +370,7 @@ def test_corners_that_coincide_are_no_board():
         board._correlated(GreyImage.from_levels(grey), centers, grid)
 
 
-def test_sigma_is_that_of_the_residuals_if_larger():
+def test_uncertainty_of_marks_is_that_of_their_residuals_if_larger():
     """The circles of a board are displaced by 0.1 px along each axis."""
     shifted = SQUARE + np.random.default_rng(3).normal(0, 0.1 / 34, SQUARE.shape)
     found = detect_circles(board(shifted)[0])

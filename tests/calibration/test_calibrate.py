@@ -311,7 +311,7 @@ def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise
         assert given.adequate
 
 
-def test_tilt_is_undetermined_if_its_sign_is():
+def test_tilt_is_undetermined_where_perspective_is_lost_in_noise():
     """A far objective: foreshortening shows the tilt, perspective is lost in noise, so its sign is
     too."""
     f = 4e7
@@ -643,7 +643,7 @@ def test_intervals_cover_for_an_imprecise_pattern():
 # The result as one object
 
 
-def test_picture_needs_the_detections_of_the_calibration():
+def test_plot_of_a_calibration_rejects_other_detections():
     one = detection(SCOPE)
     found = calibrate(one, pitch=280, pixel_pitch=SENSOR["pixel_pitch"], focal_length=F)
     for other in ([one, one], [detection(tilted(20, 10))], []):

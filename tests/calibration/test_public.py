@@ -111,7 +111,7 @@ def test_marks_are_the_same_in_other_grey_levels(detect, grey):
     hold_scaled(found, detect(**given), within=1e-5)
 
 
-def test_scale_of_stage_and_micrometer_has_the_units_of_its_lengths():
+def test_um_per_pixel_of_stage_and_micrometer_scales_with_unit_of_length():
     um, px = 1.7, 0.6
     scale = detect_micrometer(PHOTOGRAPHS["scale"])
     hold_scaled(scale.um_per_pixel(10.0 * um), scale.um_per_pixel(10.0), um)

@@ -21,7 +21,7 @@ def turned(scale, angle, *, mirrored=False):
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("angle", [-3.0, -0.4, 0.02, 1.7])
-def test_exact_moves_give_the_exact_map(angle, mirrored):
+def test_exact_stage_moves_give_the_exact_map(angle, mirrored):
     matrix = turned(1.6, angle, mirrored=mirrored)
     place = np.array([1e4, -3e3])  # where the stage was
     found = stage_affine(MOVES + place, MOVES @ matrix.T + [320, 240])
@@ -35,7 +35,7 @@ def test_exact_moves_give_the_exact_map(angle, mirrored):
     assert tx == ty == 0
 
 
-def test_stage_intervals_cover():
+def test_intervals_of_a_stage_scale_contain_the_truth_as_often_as_stated():
     matrix, inside, scores = turned(1.6, 0.4) @ [[1, 0], [0.9, 0.5]], [], []
     moves = MOVES * [1, 0.2]  # the two axes are determined with different uncertainty
     size = 1 / np.sqrt(np.linalg.det(matrix))
@@ -51,7 +51,7 @@ def test_stage_intervals_cover():
     assert np.mean(scores) == pytest.approx(8 / 6, abs=0.2)
 
 
-def test_three_moves_have_nan_uncertainty_and_moves_on_one_line_are_rejected():
+def test_three_stage_moves_have_nan_uncertainty_and_moves_on_one_line_are_rejected():
     found = stage_affine(MOVES[:3], MOVES[:3] * 2)
     assert np.isnan(found.covariance).all()
     assert np.isnan(found.um_per_pixel.uncertainty)

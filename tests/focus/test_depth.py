@@ -104,7 +104,7 @@ def test_depth_does_not_depend_on_strips_of_rows():
     np.testing.assert_allclose(strips.depth[240:272], whole.depth.T[240:272], atol=1e-3 * STEP)
 
 
-def test_region_equals_cropped_frames(dome):
+def test_depth_of_a_region_equals_that_of_cropped_frames(dome):
     _, stack = dome
     part = depth_from_focus(stack, POSITIONS, region=(8, 20, 60, 40))
     same(part, depth_from_focus(stack[:, 20:60, 8:68], POSITIONS))
@@ -129,7 +129,7 @@ def test_saturated_and_three_frames_have_a_result(dome):
     assert rms(inner(three.depth - 130.0)) < 0.1 * STEP
 
 
-def test_order_of_frames_does_not_matter(dome):
+def test_depth_does_not_depend_on_order_of_frames(dome):
     _, stack = dome
     # The noise that the default measure reckons with is that of the first frame.
     for measure, share in (("multiscale", 0.02), ("sml", 1e-5)):

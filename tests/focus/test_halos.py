@@ -67,7 +67,9 @@ def scenes() -> Iterator[tuple]:
 @pytest.mark.parametrize(
     ("height", "texture", "noise", "where", "unknown", "wrong"), list(scenes())
 )
-def test_few_depths_are_unknown_or_off_by_a_frame(height, texture, noise, where, unknown, wrong):
+def test_few_depths_beside_edges_are_unknown_or_off_by_a_frame(
+    height, texture, noise, where, unknown, wrong
+):
     stack = stack_of(height, POSITIONS, texture=texture, noise=noise)
     error = (depth_from_focus(stack, POSITIONS).depth - height)[where]
     assert np.isnan(error).mean() < unknown

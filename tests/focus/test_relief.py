@@ -51,7 +51,7 @@ def surfaces():
 @pytest.mark.parametrize(
     ("name", "height", "texture"), list(surfaces()), ids=lambda v: v if isinstance(v, str) else ""
 )
-def test_errors_are_as_stated_in_every_decile(name, height, texture):
+def test_depth_errors_match_stated_uncertainty_in_every_decile(name, height, texture):
     """No tenth more than twice as wrong as it says; beside relief more is said.
 
     The tip and the foot of the cone were six times as wrong before bends were looked at.

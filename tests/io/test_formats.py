@@ -79,7 +79,7 @@ def test_grey_levels_are_returned_as_stored(stack, tmp_path, kind, dtype):
 
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", None])
-def test_files_of_pillow_give_their_levels_and_colors(stack, tmp_path, compression):
+def test_files_written_by_pillow_give_their_levels_and_colors(stack, tmp_path, compression):
     """Pillow decodes the compressions that tifffile cannot."""
     path, color = tmp_path / "a.tif", np.stack([stack, stack // 2, 255 - stack], axis=-1)
     assert_frames(make.by_pillow(path, color, compression=compression), color, color=True)

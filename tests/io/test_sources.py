@@ -112,7 +112,7 @@ def test_reader_of_a_reader_equals_one_reader(stack, tmp_path):
         assert read_stack(read_frames(source, color=True), color=False).shape == stack.shape
 
 
-def test_iterators_are_read_once(stack):
+def test_frames_of_an_iterator_can_be_read_only_once(stack):
     for frames in ((f for f in stack), read_frames(f for f in stack)):
         once = read_frames(frames)
         np.testing.assert_array_equal(read_stack(once), stack)

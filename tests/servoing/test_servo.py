@@ -27,11 +27,13 @@ def steer(scope, targets, **options):
     return servo(scope.workstation, scope.tracker(), scope.home + targets, **settings)
 
 
-@pytest.mark.parametrize("kind", ["simulated", "demo of the engine"])
-def test_targets_are_reached_and_every_frame_is_logged(kind):
-    if kind != "simulated":
+@pytest.mark.parametrize("camera", ["turned and mirrored", 100, 101, "demo of the engine"])
+def test_targets_are_reached_and_every_frame_is_logged(camera):
+    if camera == "demo of the engine":
         pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed")
-    scope = scope_of() if kind == "simulated" else demo_scope()
+        scope = demo_scope()
+    else:  # by a number it is turned, mirrored and scaled by chance
+        scope = scope_of() if isinstance(camera, str) else simulated_scope(camera)
     run = steer(scope, AWAY, test_move=10.0)
     assert run.reached.all()
     assert run.still
@@ -39,6 +41,7 @@ def test_targets_are_reached_and_every_frame_is_logged(kind):
     moved = scope.jacobian @ scope.workstation.stage.position()
     np.testing.assert_allclose(moved, AWAY, atol=0.12)
     log = run.log
+    assert (log["phase"] == "servo").sum() <= 4  # three moves
     others = log.drop(columns=["phase", "event"]).dtypes.astype(str).to_dict()
     assert (others.pop("target"), others.pop("lost")) == ("int64", "bool")
     assert set(others.values()) == {"float64"}
@@ -191,7 +194,7 @@ def test_stage_is_stopped_and_handler_restored_wherever_ctrl_c_is_pressed(monkey
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("handler", [signal.SIG_IGN, signal.SIG_DFL, None])
-def test_own_handler_of_ctrl_c_is_called_during_the_run_and_kept(handler):
+def test_handler_of_ctrl_c_set_by_the_user_is_called_during_the_run_and_kept(handler):
     pressed = []
     own = (lambda *_: pressed.append(1)) if handler is None else handler
     signal.signal(signal.SIGINT, own)

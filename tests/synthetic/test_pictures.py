@@ -19,7 +19,7 @@ def test_center_pixel_of_a_square_is_dark():
     assert image[10, 10] == image.min()
 
 
-def test_edges_equal_dense_sampling():
+def test_rendered_edges_equal_dense_sampling():
     """A tilted, distorted square against scikit-image's polygon on a 15-fold finer grid."""
     scope = Microscope(
         2e5, 1e5, 5e4, 5e-8, 0.4, 0.3, -0.2, tx=-60, ty=-80, pixel_pitch=9.9, image_size=(80, 70)

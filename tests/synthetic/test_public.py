@@ -260,7 +260,7 @@ def test_rendered_pattern_follows_transposed_camera(draw):
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 
 
-def test_light_and_counts_follow_their_axes():
+def test_light_and_counts_of_a_rendered_pattern_follow_x_and_y():
     """Beside the pattern the ground is the light; the pattern has its rows and columns."""
     light = {"bright": 150.0, "dark": 40.0, "blur": 0.0}
     uneven = synthetic.ImagingConditions(vignetting=0.2, gradient=(0.15, -0.1), **light)

@@ -55,7 +55,7 @@ def test_outline_is_round_at_rest_and_else_smooth_except_at_the_probe():
     assert turn[corner].max() > 0.3
 
 
-def test_dented_inverts_pressed():
+def test_embryo_made_from_its_dimple_depth_has_the_force_that_pressed_it():
     pressed = Embryo.pressed(120.0, modulus=0.8, rim_curvature_radius=500.0)
     dented = Embryo.dented(pressed.dimple_depth, modulus=0.8, rim_curvature_radius=500.0)
     assert dented.force == pytest.approx(120.0, rel=1e-9)

@@ -189,7 +189,7 @@ def test_refused_input_leaves_state_unchanged():
     hold_same_as_new(new, lambda tracker: tracker.track(MOVED + NOISE[1]), *refused)
 
 
-def test_track_does_not_depend_on_the_earlier():
+def test_track_of_a_frame_does_not_depend_on_earlier_frames():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     absent = np.random.default_rng(0).normal(0, 28, one.shape)
     new = ESMTracker(one, BOX, "affine").track(other)
@@ -208,7 +208,7 @@ def test_track_does_not_depend_on_the_earlier():
         np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
-def test_exchanged_filter_predicts_the_next_frame():
+def test_kalman_filter_set_on_a_tracker_predicts_the_next_frame():
     one, other = SCENE + NOISE[0], MOVED + NOISE[1]
     tracker = ESMTracker(one, BOX, "affine")
     center = tracker.track(one).center
