@@ -75,15 +75,8 @@ def test_scales_are_those_given_or_of_the_file_or_not_known(tmp_path, capsys):
     assert "heights are in frames" in (printed := capsys.readouterr().out)
     assert "lengths are in px" in printed
     assert "µm" not in printed
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "advice"),
-    [("spacing", 0.0025, "2.5e-03|0.0025mm"), ("pixel_size", 5e4, "nm")],
-)
-def test_scale_that_no_microscope_has_is_refused(name, value, advice):
-    with pytest.raises(ValueError, match=f"{name} must be between .* did you mean .*({advice})"):
-        open_input("focal_stack.tif", "", read_frames, **{name: value})
+    with pytest.raises(ValueError, match=r"spacing must be between .* did you mean .*0\.0025mm"):
+        open_input("focal_stack.tif", "", read_frames, spacing=0.0025)
 
 
 def test_folder_with_files_is_refused_unless_it_holds_the_table_of_a_stopped_run(tmp_path):
