@@ -52,6 +52,26 @@ def test_ground_without_texture_has_no_certain_depth(kind, measure):
     assert np.mean(certain) <= 0.02
 
 
+@pytest.mark.parametrize(("kind", "step"), [("u1", 1), ("u2", 257), ("f4", 1 / 255)])
+@pytest.mark.parametrize("static", [0.1, 0.3])
+@pytest.mark.parametrize("changing", [0.0, 0.3])
+def test_rounding_of_grey_levels_gives_no_certain_depth(kind, step, static, changing):
+    """Where the light changes by four levels, all blocks have most noise in the same frame.
+
+    Rounded levels of 8 bits had a certain depth on 21 to 71 % of the ground, in any type.
+    """
+    rng, shape, z = np.random.default_rng(0), (160, 200), np.arange(13.0)
+    texture = np.asarray(synthetic.mixed_texture(shape, rng), np.float32)
+    texture[:, 70:] = 150
+    light = 2 * np.cos(z / 3)[:, None] * np.clip((np.arange(200) - 60) / 60, 0, 1)
+    frames = [gaussian_blur(texture, max(0.6 * abs(k - 6), 0.3)) for k in z] + light[:, None]
+    frames += static * rng.standard_normal(shape) + changing * rng.standard_normal(frames.shape)
+    frames = (np.rint(frames).clip(0, 255) * step).astype(kind)
+    found = depth_from_focus(frames, z)
+    assert np.mean(found.uncertainty[8:-8, 110:-8] < 1) < 0.01
+    assert rms(found.depth[8:-8, 8:50] - 6) < 0.05
+
+
 def bad_frame(kind: str, stack: np.ndarray, place: int, rng: np.random.Generator) -> np.ndarray:
     """What a camera may give instead of one frame of a stack."""
     frame = stack[place].astype(float)

@@ -58,7 +58,9 @@ def common_peak(profiles: NDArray) -> NDArray[np.float32]:
     return np.asarray((common.max(axis=0) - common.mean(axis=0)) / np.maximum(scatter, 0.02))
 
 
-def peak_significance(profiles: NDArray, height: NDArray, times: int) -> Significance:
+def peak_significance(
+    profiles: NDArray, height: NDArray, times: int, rounding: float = 0.0
+) -> Significance:
     """Return the significance of every pixel's peak.
 
     Parameters
@@ -69,10 +71,13 @@ def peak_significance(profiles: NDArray, height: NDArray, times: int) -> Signifi
         Height of each pixel's peak.
     times : int
         Binary logarithm of the side of a block, px.
+    rounding : float
+        Height of the peaks that the rounding of grey levels makes; neighboring blocks share them.
     """
-    excess, clear = common_peak(profiles), _NOISE + 1
+    excess, clear, mean_height = common_peak(profiles), _NOISE + 1, halved(height, times)
     # The contrast keeps flanks so steep that neighboring blocks have no depth in common.
-    faint = halved(height, times) < _CONTRAST * profiles.mean(axis=0)
+    faint = mean_height < np.maximum(_CONTRAST * profiles.mean(axis=0), rounding)
+    excess[mean_height < rounding] = 0
     insignificant = ((excess < _NOISE) & faint).astype(np.uint8)
     error = np.sqrt(np.clip(clear - excess, 0, 1) / 12)
     near = cv2.dilate(((excess > clear) | ~faint).astype(np.uint8), np.ones((7, 7), np.uint8))

@@ -19,7 +19,13 @@ from microlib.focus.common import Frame, Spread, halved, peak_centers, shape_err
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import find_profiles
 from microlib.focus.multiscale._settings import FocusSettings
-from microlib.focus.multiscale._tiles import every_other_tile, noise_level, peak_width, sample_tiles
+from microlib.focus.multiscale._tiles import (
+    every_other_tile,
+    grey_step,
+    noise_level,
+    peak_width,
+    sample_tiles,
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,8 @@ class Axis:
         Frame coordinate of each group: its distance from the first, in spacings. It always rises.
     noise : float
         Standard deviation of the noise of an averaged frame, grey levels.
+    rounding : float
+        Standard deviation that rounding adds to less noise than half a step of the grey levels.
     drift_bias : ndarray, shape (groups,)
         Bias of a depth near each group by illumination drift, averaged frames.
     locking : float
@@ -51,6 +59,7 @@ class Axis:
     spacing: float
     coordinates: Array
     noise: float
+    rounding: float
     drift_bias: Array
     locking: float
     shape_error: float
@@ -105,9 +114,8 @@ def describe_axis(
     ends = np.arange(fewer + 1) * count // fewer
     first, *_ = middles = group_means(positions, ends)
     spacing, way = float(np.median(np.abs(np.diff(middles)))), np.sign(positions[-1] - positions[0])
-    profiles = find_profiles(
-        few, count, few[0].shape, _noise(tiles, np.arange(count + 1)), settings
-    ).product
+    single = _noise(tiles, np.arange(count + 1))  # noise of single frames
+    profiles = find_profiles(few, count, few[0].shape, single, settings).product
     blocks = np.stack([halved(image) for image in profiles.profiles(slice(None))])
     center = way * (peak_centers(blocks, positions)[1] - first) / spacing
     coordinates = way * (middles - first) / spacing
@@ -126,6 +134,7 @@ def describe_axis(
         spacing=spacing,
         coordinates=coordinates,
         noise=noise,
+        rounding=np.sqrt(max((grey_step(tiles[count // 2]) / 2) ** 2 - single**2, 0)),
         # The peak of the product has a standard deviation of 0.4 of its equivalent width.
         drift_bias=illumination_drift_bias(light, min(0.4 * width, 3.0)),
         locking=locking,
