@@ -81,10 +81,13 @@ def test_wrong_arguments_are_refused_by_name(function):
     hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
 
 
-def test_calibration_follows_unit_of_length():
-    um = 1.7
+@pytest.mark.parametrize("um", [1e-3, 1.7, 1e3])
+def test_calibration_follows_unit_of_length(um):
     found, plain = calibrated(um), calibrated()
     hold_scaled(found.plane_residuals, plain.plane_residuals, um, within=1e-5)  # end of a search
+    for name, factor in (("magnification", 1.0), ("alpha", 1.0), ("distortion", um**-2)):
+        spans = [np.array(each.parameters[name].interval) for each in (found, plain)]
+        hold_scaled(*spans, factor, within=1e-5)
     lengths = {"flat": um * FLAT[:, :2], "sensor": um * SENSOR_POINTS}
     lengths["depth"] = um * (FLAT[:, 2] - SCOPE.translation[2])
     plain = calibration.linear_intrinsics(**CALLS[calibration.linear_intrinsics]())
