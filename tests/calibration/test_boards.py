@@ -125,6 +125,32 @@ def test_all_marks_are_detected_in_clutter_and_in_both_polarities(kind, size, ch
     assert 0.7 < over_sigma(found, truth) < 1.6
 
 
+@pytest.mark.parametrize(("kind", "size", "corners"), [("circle", 0.3, 1), ("square", 0.6, 4)])
+def test_whole_marks_are_detected_and_those_that_the_border_cuts_are_not(kind, size, corners):
+    image, truth = board(np.argwhere(np.ones((14, 10))).astype(float), kind, size)
+    found = DETECT[kind](image)
+    assert np.abs(errors(found, truth)).max() < 0.2
+    assert (np.unique(found.group, return_counts=True)[1] == corners).all()
+    for margin, one, other in ((1.5, "found", "true"), (-1.5, "true", "found")):
+        # Perspective changes the radius of 10 px by up to 1 px.
+        reach = margin + (34 * size if kind == "circle" else 0)
+        within = (truth > reach) & (truth < np.array(image.shape[::-1]) - 1 - reach)
+        whole = np.repeat(within.reshape(-1, 2 * corners).all(axis=1), corners)
+        points = {"found": found.points, "true": truth[whole]}
+        assert cKDTree(points[one]).query(points[other])[0].max() < 0.2
+
+
+def test_dirt_is_not_detected_as_a_circle():
+    image, truth = board(SQUARE)
+    image = image.copy()
+    cv2.circle(image, np.int_(truth[[9, 17]].mean(axis=0)), 6, 60.0, -1)  # between four circles
+    cv2.rectangle(image, np.int_(truth[10] + 2), np.int_(truth[10] + 11), 50.0, -1)  # on a circle
+    found = detect_circles(image)
+    assert np.abs(errors(found, truth)).max() < 0.1
+    assert len(found.points) >= len(truth) - 3
+    assert np.hypot(*(found.points - truth[10]).T).min() > 10
+
+
 @pytest.mark.parametrize(
     ("size", "blur", "fewest", "most"),
     [
