@@ -23,7 +23,7 @@ def printed_correction(depth: np.ndarray, m: int, delta: float) -> np.ndarray:
 def test_correct_spikes_equals_equation_3_14_with_its_erratum(m, delta, unknown):
     """With half unknown, dividing by all would put the deviation √2 too low, or far too high."""
     rng = np.random.default_rng(m)
-    depth = 500 + rng.standard_normal((20, 23))
+    depth = 5e7 + rng.standard_normal((20, 23))  # squares of the depths themselves are rounded
     depth[rng.random(depth.shape) < 0.05] += 80
     depth[rng.random(depth.shape) < unknown] = np.nan
     ours = correct_spikes(depth, window=m, delta=delta)

@@ -179,12 +179,18 @@ def test_depth_at_which_bending_carries_the_force_warns(depth: float, times: flo
 
 
 @pytest.mark.parametrize(
-    ("model", "depth", "times"),
-    [*((model, 2.9, r"0\.97") for model in MODELS), (elastic_modulus, [1.5, 20.0], r"0\.5")],
+    ("model", "depth", "thickness", "times"),
+    [
+        *((model, 2.9, 3.0, r"0\.97") for model in MODELS),
+        (elastic_modulus, [1.5, 20.0], 3.0, r"0\.5"),
+        (elastic_modulus, 2.9, [1.0, 3.0], r"0\.97"),
+    ],
 )
-def test_depth_below_the_thickness_raises_also_beside_a_deeper_one(model, depth, times) -> None:
+def test_depth_below_the_thickness_raises_also_beside_others(
+    model, depth, thickness, times
+) -> None:
     with pytest.raises(ValueError, match=rf"depth must be at least the thickness.*{times} times"):
-        model(0.01, 250.0, depth, **FILM)
+        model(0.01, 250.0, depth, **FILM | {"thickness": thickness})
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.1012, 0.5, 0.974, 0.975, 0.99, 0.9999, 1 - 1e-9])
