@@ -92,7 +92,7 @@ FACTORS = {
 def refused(numbers: list, *positive: str) -> dict:
     """Return what a formula of lengths refuses; `numbers` is what is no number to it."""
     names = ("rim_radius", "dimple_depth", "thickness", "probe_half_width", *positive)
-    film = {"poisson_ratio": [*numbers, -1, 0.6], "force": [*numbers, -1]}
+    film = {"poisson_ratio": [*numbers, -1, 0.6, [0.3, -1.4], [0.6, 0.3]], "force": [*numbers, -1]}
     return film | {name: [*numbers, 0, -1] for name in names}
 
 
