@@ -1,6 +1,5 @@
 """The calls of every public function of the embryo: their units and what they refuse."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -37,19 +36,16 @@ ACROSS = np.arange(60.0)
 DENTED = 9.0 - 7.0 * np.exp(-(((ACROSS - 30.0) / 9.0) ** 2)) - (ACROSS - 30.0) ** 2 / 300.0
 
 
-def hills(px: float = 1.0, x0: float = 12.0) -> GaussianSum:
-    """Return an outline whose rims differ, from an origin x0 (px)."""
-    amplitudes, widths = np.array([61.0, 52.0, 38.0]), np.array([5.0, 190.0, 12.0])
-    centers, domain = np.array([55.0, 147.0, 43.0]), np.array([5.0, 203.0])
+def hills() -> GaussianSum:
+    """Return an outline whose rims differ."""
     return GaussianSum(
-        px * amplitudes, px * (centers + x0), px * widths, domain=tuple(px * (domain + x0))
+        [61.0, 52.0, 38.0], [67.0, 202.0, 55.0], [5.0, 190.0, 12.0], domain=(17.0, 215.0)
     )
 
 
-def noisy(terms: int = 2, px: float = 1.0, x0: float = 12.0) -> dict:
-    x = (x0 + ACROSS * 3.3) * px
-    errors = np.random.default_rng(0).normal(0, 0.1, 60) * px
-    return {"x": x, "y": hills(px, x0)(x) + errors, "terms": terms}
+def noisy() -> dict:
+    x = 12.0 + 3.3 * ACROSS
+    return {"x": x, "y": hills()(x) + np.random.default_rng(0).normal(0, 0.1, 60), "terms": 2}
 
 
 def rough() -> dict:
@@ -130,33 +126,6 @@ def test_call_gives_the_same_for_the_same_numbers(function):
 @each_call
 def test_wrong_arguments_are_refused_by_name(function):
     hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
-
-
-@pytest.mark.parametrize(("px", "x0"), [(0.6, 12.0), (1.0, 43.0)])
-def test_curves_and_their_dimples_follow_unit_and_origin(px, x0):
-    def there(x):
-        return px * (x + x0 - 12.0)
-
-    found, plain, x = hills(px, x0), hills(), np.array([42.0, 89.0])
-    by = {"amplitudes": px, "centers": there, "widths": px, "domain": there}
-    hold_scaled(found, plain, **by)
-    np.testing.assert_allclose(found(there(x)), px * plain(x))
-    np.testing.assert_allclose(found.slope(there(x)), plain.slope(x))
-    np.testing.assert_allclose(found.second_derivative(there(x)), plain.second_derivative(x) / px)
-    # Roots are found to 1e-12 of x, which is large for a distant origin.
-    hold_scaled(found.extrema(), plain.extrema(), there, within=1e-8)
-    # The search ends at a relative change of 1e-8 of its sum of squares, most of which is noise.
-    fitted = [embryo.fit_gaussians(**noisy(px=px, x0=x0)), embryo.fit_gaussians(**noisy())]
-    hold_scaled(*fitted, **by, within=1e-3)
-    um = 1.7
-    found = dimple_geometry(found, pixel_size=3.9 * um / px, rim="right")
-    plain = dimple_geometry(plain, pixel_size=3.9, rim="right")
-    places = {
-        name: (there(getattr(plain, name)[0]), px * getattr(plain, name)[1])
-        for name in ("rim", "bottom")
-    }
-    sizes = {"rim_radius": um, "dimple_depth": um, "covariance": um**2}
-    hold_scaled(found, replace(plain, **places), within=1e-6, **sizes)
 
 
 def test_dimple_and_modulus_follow_units_of_length_and_force():
