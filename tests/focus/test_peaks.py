@@ -5,12 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microlib import synthetic
 from microlib.focus import three_point_peak
 from microlib.focus.multiscale import (
-    _axis,
     _fit,
-    _measure,
     _peaks,
     _relief,
     _rules,
@@ -90,14 +87,6 @@ def test_fit_peaks_equals_polyfit_with_documented_weights():
 # --- The noise of a frame, and the axis ----------------------------------------------------------
 
 
-def test_mean_second_difference_of_noise_equals_noise_gain():
-    noise = np.random.default_rng(3).standard_normal((400, 400)).astype(np.float32)
-    for sigma in (0.5, 0.8, 1.0):
-        found = np.add(*_measure.abs_second_derivatives(noise, sigma)).mean()
-        # 160000 pixels, some 10000 independent: 1 %; a Gaussian of few taps is a bit narrower.
-        assert found == pytest.approx(_measure.noise_gain(sigma), rel=0.03)
-
-
 def test_noise_level_is_that_of_untextured_ground():
     rng = np.random.default_rng(4)
     for sigma in (2.0, 5.0):
@@ -107,31 +96,6 @@ def test_noise_level_is_that_of_untextured_ground():
         # The quietest twentieth lies two scatters of a 3 px window below the mean.
         assert 0.7 * sigma < _tiles.noise_level(seen) < 1.1 * sigma
     assert _tiles.noise_level(_tiles.sample_tiles(np.zeros((32, 32), np.float32))) > 0
-
-
-@pytest.mark.parametrize(("bare", "deviation"), [(0, 2.0), (0, 4.5), (240, 2.0)])
-def test_peak_width_of_gaussian_profiles_is_their_area_over_height(bare, deviation):
-    """Contrast that is a Gaussian of the frame gives such profiles, 2.51 deviations wide.
-
-    Ground without texture may fill five sixths of the frame; it has light from the object, whose
-    peaks are wide.
-    """
-    texture = synthetic.mixed_texture((288, 288), 9, mean=0.0, std=20.0)
-    ground, number = np.arange(288) >= 288 - bare, np.arange(60.0) - 27
-    narrow, wide = (np.exp(-((number / s) ** 2) / 2) for s in (deviation, 3 * deviation))
-    contrasts = [np.where(ground, 0.02 * w, n) for n, w in zip(narrow, wide, strict=True)]
-    tiles = [_tiles.sample_tiles(np.float32(texture * contrast)) for contrast in contrasts]
-    within = 0.05 if bare else 0.01
-    assert _tiles.peak_width(tiles) == pytest.approx(np.sqrt(2 * np.pi) * deviation, rel=within)
-
-
-def test_illumination_drift_bias_is_the_shift_of_a_gaussian_by_light():
-    """A measure that grows with the square of the light has its vertex nearer to the light."""
-    z, fine, deviation = np.arange(15.0), np.linspace(0, 14, 140001), 1.7
-    light = 90 * 1.06**fine
-    peak = fine[np.argmax(light**2 * np.exp(-((fine - 7) ** 2) / (2 * deviation**2)))]
-    bias = _axis.illumination_drift_bias(90 * 1.06**z, deviation)
-    np.testing.assert_allclose(bias[3:-3], peak - 7, atol=2e-4)  # steps of 1e-4
 
 
 # --- Relief ------------------------------------------------------------------------------------
