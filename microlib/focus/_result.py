@@ -218,12 +218,7 @@ def composite(
                 weight = blur(here.astype(np.float32), 2.0)[top - start :][: len(total[rows])]
                 total[rows] += (weight[..., None] if stack.color else weight) * frame[rows]
         done(k + 1)
-    return as_type(total, stack.dtype)
-
-
-def as_type(image: Image, dtype: np.dtype) -> Image:
-    """Return an image in a type: rounded, and no further than its ends if that is of integers."""
-    if image.dtype == dtype or dtype.kind not in "ui":
-        return image.astype(dtype, copy=False)
-    ends = np.iinfo(dtype)
-    return np.clip(np.rint(image, out=image), ends.min, ends.max, out=image).astype(dtype)
+    if stack.dtype.kind in "ui":
+        ends = np.iinfo(stack.dtype)
+        np.clip(np.rint(total, out=total), ends.min, ends.max, out=total)
+    return total.astype(stack.dtype, copy=False)
