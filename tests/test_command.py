@@ -609,6 +609,17 @@ def test_outline_table_that_disagrees_is_noted(table, options, code, message, tm
         assert found["rim_radius"] == pytest.approx(250, abs=3.875)
 
 
+@pytest.mark.parametrize("side", [1, -1], ids=["left", "right"])
+def test_headline_of_moduli_spans_both_rims_whichever_is_further(side, tmp_path, capsys):
+    POINTS.assign(x=side * STRETCHED).to_csv(tmp_path / "outline.csv", index=False)
+    command = OUTLINE.replace("outline.csv", str(tmp_path / "outline.csv"))
+    assert status(command, tmp_path / "out.csv", "") == 0
+    found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
+    ends = found.filter(like="over_models")
+    headline = f"E = {ends.min():.2g} to {ends.max():.2g} MPa over all models and both rims\n"
+    assert headline in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
