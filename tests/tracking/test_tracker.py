@@ -149,6 +149,17 @@ def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     assert reasons[-1] == "out of view"
 
 
+def test_template_is_searched_as_far_as_the_prediction_is_uncertain():
+    """Five frames without it leave a standard deviation of 60 px; a box has 50 px."""
+    texture = mixed_texture((100, 400), np.random.default_rng(9), scales=1.0, std=45.0)
+    kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=10.0, noise=0.1)
+    tracker = ESMTracker(texture, (40, 20, 50, 50), "translation", kalman=kalman)
+    for frame in (*[texture] * 3, *[np.full((100, 400), 80.0)] * 5):
+        tracker.track(frame)
+    track = tracker.track(np.roll(texture, 150, axis=1))
+    np.testing.assert_allclose(track.center, (64.5 + 150, 44.5), atol=0.1)
+
+
 @pytest.mark.parametrize(
     ("image", "message"),
     [
