@@ -150,7 +150,7 @@ def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
 
 
 def test_template_is_searched_as_far_as_the_prediction_is_uncertain():
-    """Five frames without it leave a standard deviation of 60 px; a box has 50 px."""
+    """Five frames without it leave a standard deviation of 86 px; the box has a side of 50 px."""
     texture = mixed_texture((100, 400), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=10.0, noise=0.1)
     tracker = ESMTracker(texture, (40, 20, 50, 50), "translation", kalman=kalman)
