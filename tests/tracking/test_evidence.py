@@ -364,6 +364,20 @@ def test_mask_of_the_whole_box_changes_nothing_and_one_that_does_not_fit_is_reje
             ESMTracker(first, box, mask=mask)
 
 
+def test_points_stay_where_a_frame_is_blurred_like_the_template():
+    """Of the points of a sharp template 40 % stay at the right pose in a blurred frame."""
+    box, ratios = (70, 65, 50, 50), []
+    for seed in range(4):
+        image, rng = scene(seed, 1.2), default_rng(seed)
+        tracker = ESMTracker(camera_frame(image, rng), box)
+        blurred = camera_frame(ndimage.gaussian_filter(image, 2), rng).astype(np.float32)
+        frame, pose = blurred * tracker._grey_scale, tracker._start
+        points = tracker._template.points
+        ratios.append([each.follow_from(frame, pose)[0] for each in points])
+    sharp, _, like_the_frame = np.mean(ratios, axis=0)
+    assert like_the_frame > 0.9 > 0.6 > sharp
+
+
 def lattice(pattern, period, by, end=np.inf):
     """Return a pattern of that period, moved by (x, y) px; beyond an `end` the ground rests."""
     y, x = np.mgrid[:190, :220].astype(float)
