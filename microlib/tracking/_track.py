@@ -25,10 +25,10 @@ class Track(FlatResult):
         Whether the template was not found.
     reason : str
         Empty, or why it was not: ``"singular"``, ``"diverged"``, ``"out of view"``, ``"low
-        correlation"``, ``"no agreement"`` of the template's parts, ``"two motions"``: the frame
-        may show only the ground around an object that moved (then pass a `mask`), or
-        ``"ambiguous"``: something looks alike. In a periodic texture that surrounds the template on
-        all sides, these are motions by more than 0.38 of the period.
+        correlation"``, ``"no agreement"`` of the template's parts, ``"two motions"``: only the
+        ground in the box agrees, because the object moved (then pass a `mask`), or ``"ambiguous"``:
+        something looks alike. In a periodic texture that surrounds the template on all sides, these
+        are motions by more than 0.38 of the period.
     correlation : float
         Normalized correlation of the template and the frame under the warp, −1 to 1; where only
         parts of the template agree or the light changes, of these parts in that light.
@@ -48,10 +48,9 @@ class Track(FlatResult):
         template.
     confidence : float
         Probability that the pose is right within a pixel. It is 1 where every part of the template
-        agrees within the noise, and else an estimate that was fitted to photographs. It is reduced
-        if a part of the template moves differently from the rest, and it is 0 if the pose is
-        ambiguous. Below 0.7 the template counts as lost; `confidence` is then that of the most
-        probable pose, or 0.
+        agrees within the noise, and else an estimate that was fitted to photographs. It is 0 if the
+        pose is ambiguous, or that of the ground in the box. Below 0.7 the template counts as lost;
+        `confidence` is then that of the most probable pose, or 0.
     hidden : ndarray of bool, shape (height, width)
         Pixels of the object where the frame shows something else, or nothing; all when `lost`.
         The object is the box, or what the mask of the tracker contains of it.

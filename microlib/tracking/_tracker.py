@@ -50,8 +50,9 @@ class ESMTracker:
     A visible template may be reported as lost in these cases:
 
     - Another object in the frame resembles the template.
-    - The template contains a moving object and a static background (``"two motions"``). Draw the
-      box tightly around the object, or give a `mask` that excludes the background.
+    - The template contains an object and textured ground that moves differently (``"two
+      motions"``). What moves with the surroundings of the box counts as ground and is not followed.
+      Draw the box tightly around the object, or give a `mask` that excludes the ground.
     - The texture is periodic in the box and around it, and the motion between two frames is large.
       Keep the motion below a third of the period: motion by a whole period cannot be distinguished
       from rest.
@@ -134,7 +135,7 @@ class ESMTracker:
         contrast = float(frame[y : y + height, x : x + width].std(dtype=np.float64))
         self._grey_scale = np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast else 1)
         frame = frame * self._grey_scale
-        self._shape, self.kalman, self._seen = frame.shape, kalman, True
+        self._shape, self.kalman, self._seen, self._parted = frame.shape, kalman, True, False
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -210,10 +211,11 @@ class ESMTracker:
             frame=SearchFrame(image, self._least_noise),
             pose=translate(self._pose, -origin),
             seen=self._seen,
-            first_pose=translate(self._start, -origin),
             last=Sighting(last_region, translate(self._last.pose, -origin)),
+            parted=self._parted,
         )
         best = find_template(search, self._attempts)
+        self._parted |= best.reason == "two motions"
         if best.reason:
             return self._lost(best.reason, best.confidence)
         self._seen, self._pose = True, translate(best.fit.pose, origin)

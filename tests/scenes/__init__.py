@@ -53,6 +53,55 @@ def moving_square(
     return frames
 
 
+def translated(image: NDArray, by: NDArray) -> NDArray[np.float64]:
+    """Return an image that is moved by (x, y) px with splines of the fifth order."""
+    return ndimage.shift(image, (by[1], by[0]), order=5, mode="mirror")
+
+
+class FilmOnGround(NamedTuple):
+    """Frames of an object, its box (x, y, width, height), and where it moves from there, (x, y)."""
+
+    frames: list[NDArray[np.uint8]]
+    box: tuple[int, int, int, int]
+    motion: NDArray[np.float64]
+
+
+def film_on_ground(
+    kind: str,
+    share: float,
+    seed: int,
+    drift: tuple[float, float] = (0.0, 0.0),
+    ground: NDArray | None = None,
+) -> FilmOnGround:
+    """Return a film of an object whose box of 60 px contains a share of ground.
+
+    From frame to frame the object moves by 2 to 4 px, and the ground by `drift` px. Of the kinds of
+    objects, only the gripper has ground in its middle and in the holes of its jaws.
+    """
+    side, rng = 60, np.random.default_rng(seed)
+    y, x = np.mgrid[:180, :220] - np.array([90, 110])[:, None, None]
+    texture = mixed_texture((180, 220), rng, scales=(2.0, 6.0), std=20.0)
+    part = mixed_texture((180, 220), rng, scales=(1.5, 4.0), std=25.0) + 30
+    ground = texture if ground is None else ground
+    radius, distance = side * np.sqrt((1 - share) / np.pi), np.hypot(x, y)
+    jaw = side * (1 - share) / 2
+    jaws = np.minimum(side / 2 - np.maximum(abs(x), abs(y)), abs(x) - side / 2 + jaw)
+    depth = {
+        "bead": radius - distance,
+        "cell": radius * (1 + 0.1 * np.cos(3 * np.arctan2(y, x))) - distance,
+        "part": side * np.sqrt(1 - share) / 2 - np.maximum(abs(x), abs(y)),
+        "gripper": np.minimum(jaws, np.hypot(abs(x) - (side - jaw) / 2, y) - jaw / 4),
+    }[kind]
+    alpha = 1 / (1 + np.exp(-depth))
+    way = rng.uniform(2, 4) * np.array([[np.cos(seed), np.sin(seed)]]) * np.arange(9)[:, None]
+    film = []
+    for k, by in enumerate(way):
+        cover = translated(alpha, by)
+        image = (1 - cover) * translated(ground, np.multiply(drift, k))
+        film.append(camera_frame(cover * translated(part, by) + image, rng))
+    return FilmOnGround(film, (110 - side // 2, 90 - side // 2, side, side), way)
+
+
 class WarpedPair(NamedTuple):
     """Two frames, the box (x, y, width, height) of a template, and its corners in the second."""
 

@@ -78,6 +78,8 @@ def find_template(search: Search, attempts: Sequence[Attempt]) -> Candidate:
             if not search.ambiguous(candidate.fit.pose):
                 return replace(candidate, reason="")
             candidate = replace(candidate, confidence=0.0, reason="ambiguous")
+        if candidate.reason == "two motions":
+            return candidate
         candidates.append(candidate)
     candidates = candidates or [align_from_pose(search, [])]
     return max(reversed(candidates), key=lambda candidate: candidate.confidence)

@@ -23,10 +23,9 @@ class Blocks:
     `count` is the sum of the weights of the pixels, `visible` is `count` divided by the largest
     `count`, `square` the squared correlation, `unexplained` the variance of the image that is not
     linear in the template, and `noise_variance` the variance of the difference of two images of the
-    same. The template has `shape` pixels.
+    same.
     """
 
-    shape: tuple[int, int]
     count: Array
     visible: Array
     t: Array
@@ -66,22 +65,6 @@ class Blocks:
         score = np.maximum(information - unrelated - off**2, 0)
         expected = self.noise_variance + self.settings.interpolation_error * self.gg
         return np.asarray(score * self.visible / (1 + self.unexplained / expected / 3**2))
-
-    @property
-    def possible(self) -> Array:
-        """Scores of blocks that differ from the template by noise only."""
-        information = 0.5 * np.log1p(self.tt / self.noise_variance)
-        return np.maximum(information - self.settings.unrelated_information, 0) * self.visible
-
-    def eccentricity(self) -> float:
-        """Return how far from the middle the agreeing blocks lie, over all blocks with texture."""
-        rows, columns = (np.linspace(-1, 1, len(_cells(side)) - 1) for side in self.shape)
-        radius = np.hypot(rows[:, None], columns).ravel()
-        agreeing, all_blocks = (
-            float(weights @ radius / max(weights.sum(), TINY))
-            for weights in (self.scores(), self.possible)
-        )
-        return agreeing / max(all_blocks, TINY)
 
     @cached_property
     def texture(self) -> Array:
@@ -127,7 +110,6 @@ def compare(
     t, g, tt, gg, tg = others / np.maximum(count, TINY)
     tt, gg, tg = np.maximum(tt - t * t, TINY), np.maximum(gg - g * g, TINY), tg - t * g
     return Blocks(
-        shape=grey.shape,
         count=count,
         visible=count / max(count.max(), TINY),
         t=t,

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from microlib._common import Array, Image
-from microlib.tracking._geometry import TINY
 from microlib.tracking._sampling import SearchFrame
 from microlib.tracking.robust._covariance import largest_sigma
 from microlib.tracking.robust._decision import (
@@ -23,7 +22,6 @@ from microlib.tracking.robust._decision import (
     confidence,
     judge_photometric,
 )
-from microlib.tracking.robust._photometric import PhotometricFit
 from microlib.tracking.robust._starts import distortions, ncc_peaks
 from microlib.tracking.robust._template import SearchTemplate
 
@@ -58,18 +56,18 @@ class Search:
         Expected pose, in px of the frame.
     seen : bool
         Whether the template was found in the frame before.
-    first_pose : ndarray, shape (3, 3)
-        Pose in the first frame, in px of this frame.
     last : Sighting
         The same part of the last frame in which the template was found.
+    parted : bool
+        Whether parts of the template were seen to move differently, so that it shows ground.
     """
 
     template: SearchTemplate
     frame: SearchFrame
     pose: Array
     seen: bool
-    first_pose: Array
     last: Sighting
+    parted: bool
 
     def ambiguous(self, pose: Array) -> bool:
         """Return whether a pose may be that of something that looks like the template.
@@ -147,9 +145,11 @@ class Search:
 
         The photometric fits of the candidates `before` compete with those of the starts. The second
         number is the share of the template's points that stay when they are followed from the pose.
-        The probability is multiplied by max(0, 1 − a/b) with the score a of a second motion and the
-        score b of the pose: one part of the template may be an object, and the other its
-        background.
+
+        A box is drawn around an object, so that what moves with the surroundings of the box is
+        ground. If the hidden part of the template is found elsewhere, there are two motions. The
+        pose with which the surroundings agree better is that of the ground, and is not accepted.
+        A pose with which they do not agree must be precise.
         """
         template, frame, settings = self.template, self.frame, self.template.settings
         scores = [template.score(frame, start) for start in starts]
@@ -165,7 +165,8 @@ class Search:
         best, *others = template.different([fit.pose for fit in fits], scores)
         fit = fits[best]
         layer = frame.layer(template.fine.halvings)
-        inlier_ratio, moved = template.points[fit.blur].follow_from(layer, fit.pose)
+        points = template.points[fit.blur]
+        inlier_ratio = points.inlier_ratio(layer, fit.pose)
         candidate = judge_photometric(template, fit)
         if fit.reason:
             return candidate, inlier_ratio
@@ -178,42 +179,15 @@ class Search:
             displacement=np.hypot(*template.displacement(self.pose, fit.pose)) / template.side,
             sigma=sigma,
         )
-        if self._object_moved(fit, sigma):
-            candidate, probability = replace(candidate, reason="two motions"), 0.0
-        if probability >= settings.threshold:
-            doubt = self._second_motion_score(fit, moved) / max(scores[best], TINY)
-            probability *= max(0.0, 1.0 - doubt)
+        if settings.threshold <= probability < 1:
+            around, elsewhere, there = points.ground_evidence(layer, fit.pose, fit.hidden)
+            moved = elsewhere > settings.elsewhere
+            if (moved or self.parted) and around > (there if moved else settings.around):
+                candidate, probability = replace(candidate, reason="two motions"), 0.0
+            elif around < settings.around:
+                probability *= sigma < settings.max_sigma_alone * (1 if moved or self.parted else 2)
         return replace(candidate, confidence=probability), inlier_ratio
 
     def _flow_pose(self, pose: Array) -> Array | None:
         layer = self.frame.layer(self.template.fine.halvings)
         return self.template.points[0].flow_pose(layer, pose)
-
-    def _object_moved(self, fit: PhotometricFit, sigma: float) -> bool:
-        """Return whether a pose may be that of the ground around an object that moved.
-
-        A box is drawn around an object. If only the outer part of the template or very little of it
-        agrees with the pose of the first frame, that is taken for the pose of ground at rest.
-        If only the middle agrees, the pose is that of the object, but the corners may be uncertain.
-        """
-        blocks, settings = fit.blocks, self.template.settings
-        eccentricity = blocks.eccentricity()
-        if self.template.distance(fit.pose, self.first_pose) < settings.at_rest:
-            least_score = settings.min_score_share * blocks.possible.sum()
-            if eccentricity > settings.outer or blocks.score() < least_score:
-                return True
-        return eccentricity < settings.inner and sigma > settings.max_inner_sigma
-
-    def _second_motion_score(self, fit: PhotometricFit, start: Array | None) -> float:
-        """Return how much more some blocks agree where other points move together, nats.
-
-        That pose only causes doubt and is never accepted: which of two parts that move differently
-        is the object cannot be known.
-        """
-        template = self.template
-        if start is None or template.score(self.frame, start) < template.settings.least_score:
-            return 0.0
-        other = template.align_best_blur(self.frame, start)
-        if other is None or not template.apart(fit.pose, other.pose):
-            return 0.0
-        return fit.blocks.excess_in(other.blocks)

@@ -32,39 +32,64 @@ class PointFlow:
         self._error = settings.point_error / level.to_image[0, 0]
         self._template = self._contrasts(image, pose)
 
-    def follow_from(self, image: Image, pose: Array) -> tuple[float, Array | None]:
-        """Follow the points from a pose.
-
-        Returns
-        -------
-        inlier_ratio : float
-            Share of the points in view that stay.
-        moved : ndarray, shape (3, 3), or None
-            The pose, moved by the translation that most of the other points in view share, if at
-            least `min_points` do.
-        """
+    def inlier_ratio(self, image: Image, pose: Array) -> float:
+        """Return the share of the points in view that stay when they are followed from a pose."""
         here, there = self._followed(image, pose)
         last = np.subtract(image.shape[::-1], 1) / self._level.to_image[0, 0]
         in_view = ((here >= 0) & (here <= last)).all(axis=1)
         stay = in_view & (np.abs(there - here).max(axis=1) < 2 * self._error)
-        inlier_ratio = float(stay.sum() / max(in_view.sum(), min(len(here), self._min_points), 1))
-        leave = in_view & ~stay
-        motion = self._motion(here[leave], there[leave], len(GENERATORS["translation"]))
-        return inlier_ratio, None if motion is None else motion @ pose
+        return float(stay.sum() / max(in_view.sum(), min(len(here), self._min_points), 1))
 
     def flow_pose(self, image: Image, pose: Array) -> Array | None:
         """Return the pose in which most points agree when they are followed from a pose."""
-        motion = self._motion(*self._followed(image, pose), len(self._level.basis))
-        return None if motion is None else motion @ pose
-
-    def _motion(self, here: Array, there: Array, n: int) -> Array | None:
-        """Return the motion of `n` parameters that most points agree in, if enough do."""
+        here, there = self._followed(image, pose)
         known = np.isfinite(there).all(axis=1)
         here, there = here[known].astype(np.float32), there[known].astype(np.float32)
         if len(here) < self._min_points:
             return None
-        motion, inliers = _ransac(here, there, n, self._error)
-        return None if motion is None or inliers.sum() < self._min_points else motion
+        motion, inliers = _ransac(here, there, len(self._level.basis), self._error)
+        return None if motion is None or inliers.sum() < self._min_points else motion @ pose
+
+    def ground_evidence(
+        self, image: Image, pose: Array, hidden: NDArray[np.bool_]
+    ) -> tuple[float, float, float]:
+        """Compare local contrasts to find out whether a pose is that of the ground in the box.
+
+        Returns
+        -------
+        around : float
+            Correlation of the surroundings of the template, up to half its longer side, with the
+            image under the pose.
+        elsewhere : float
+            By how much more the hidden part of the template correlates with one place nearby than
+            with all others: a part that moved is there, one that is covered is not.
+        around_there : float
+            Correlation of the surroundings if the template were at that place.
+        """
+        near = self._margin // 2
+        far = self._margin - near
+        template, wide = (
+            each.astype(np.float32) - 128 for each in (self._template, self._contrasts(image, pose))
+        )
+        template, seen = template[far:-far, far:-far], wide[far:-far, far:-far]
+        inside = np.s_[near:-near, near:-near]
+        part = cv2.resize(hidden.astype(np.float32), self._level.grey.shape[::-1])
+        own, outside = template[inside] * part, np.ones_like(template)
+        outside[inside] = 0
+        # The power is at least that of rounding to whole levels.
+        least = max(float(part.sum()), 1.0)
+        power = np.maximum(cv2.matchTemplate(seen * seen, part, cv2.TM_CCORR), least)
+        scores = cv2.matchTemplate(seen, own, cv2.TM_CCORR)
+        scores /= np.sqrt(power * max(float(np.square(own).sum()), least))
+        y, x = np.unravel_index(scores.argmax(), scores.shape)
+        best, moved = scores[y, x], np.hypot(y - near, x - near) / self._level.to_image[0, 0] > 1
+        scores[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4] = 0
+        top, left = y + far - near, x + far - near
+        there = wide[top : top + len(seen), left : left + len(seen.T)]
+        around, around_there = (
+            _correlation(template * outside, each * outside) for each in (seen, there)
+        )
+        return around, float(best - scores.max()) * moved, around_there
 
     def _followed(self, image: Image, pose: Array) -> tuple[Array, Array]:
         """Return the points under a pose, and where they go, infinite where they are lost."""
@@ -147,3 +172,7 @@ def distortions(basis: Array, size: float) -> list[Array]:
     changed = rows * [-1, 1, 1, 1, 1, 1, 1, -1]
     signs = np.concatenate([rows, -rows, changed, -changed])[:, : len(basis)]
     return list(retract(np.eye(3), size * signs, basis))
+
+
+def _correlation(one: Image, other: Image) -> float:
+    return float((one * other).sum() / np.sqrt(max((one**2).sum() * (other**2).sum(), TINY)))
