@@ -116,15 +116,11 @@ def test_projection_equals_printed_equation():
 
 
 @given(
-    alpha=angles,
-    beta=small_tilts,
-    tilt=small_tilts,
-    behind=st.booleans(),
+    alpha=angles, beta=small_tilts, tilt=small_tilts, behind=st.booleans(),
     shift=st.tuples(st.floats(-2e3, 2e3), st.floats(-2e3, 2e3)),
-    magnification=st.floats(0.5, 20),
-    distortion=st.floats(-2e-9, 2e-9),
+    magnification=st.floats(0.5, 20), distortion=st.floats(-2e-9, 2e-9),
     distortion_k2=st.floats(-2e-17, 2e-17),
-)
+)  # fmt: skip
 @settings(deadline=None, max_examples=100)
 def test_back_projection_undoes_projection(
     alpha, beta, tilt, behind, shift, magnification, distortion, distortion_k2

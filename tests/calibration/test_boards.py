@@ -37,14 +37,11 @@ RANDOM = SQUARE * 1.2 + np.random.default_rng(0).uniform(-0.35, 0.35, SQUARE.sha
 
 
 NO_PATTERN = {
-    "saturated": np.full((100, 120), 255.0),
-    "black": np.zeros((100, 120)),
-    "color": np.zeros((50, 50, 3)),
-    "noise": np.random.default_rng(8).normal(128, 10, (200, 200)),
+    "saturated": np.full((100, 120), 255.0), "black": np.zeros((100, 120)),
+    "color": np.zeros((50, 50, 3)), "noise": np.random.default_rng(8).normal(128, 10, (200, 200)),
     "ramp": np.add.outer(np.arange(100.0), np.arange(120.0)),
-    "columns": np.tile([0, 255], (40, 40)),
-    "one line": np.eye(60) * 255,
-}
+    "columns": np.tile([0, 255], (40, 40)), "one line": np.eye(60) * 255,
+}  # fmt: skip
 
 
 def errors(found, truth: np.ndarray) -> np.ndarray:

@@ -113,14 +113,10 @@ def test_linear_intrinsics_are_exact_without_distortion(distortion, precision):
 
 
 @given(
-    alpha=st.floats(-3.1, 3.1),
-    beta=st.floats(0.05, 0.5),
-    gamma=st.floats(-0.5, 0.5),
-    behind=st.booleans(),
-    shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
-    magnification=st.floats(0.8, 10),
-    distortion=st.floats(-1e-9, 1e-9),
-)
+    alpha=st.floats(-3.1, 3.1), beta=st.floats(0.05, 0.5), gamma=st.floats(-0.5, 0.5),
+    behind=st.booleans(), shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
+    magnification=st.floats(0.8, 10), distortion=st.floats(-1e-9, 1e-9),
+)  # fmt: skip
 @settings(deadline=None, max_examples=25)
 def test_exact_data_give_exact_pose_and_lens(
     alpha, beta, gamma, behind, shift, magnification, distortion

@@ -79,12 +79,9 @@ CALLS = {
 }  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 FILM = {
-    "frames": no_map,
-    "box": no_array,
-    "motion": NO_TEXT,
-    "rate": NOT_POSITIVE,
+    "frames": no_map, "box": no_array, "motion": NO_TEXT, "rate": NOT_POSITIVE,
     "pixel_size": [*BROKEN, 0, -1],
-}
+}  # fmt: skip
 #: What is refused in place of each argument.
 REFUSED = {
     ESMTracker.track: {"frame": lambda valid: [*no_array(valid), np.zeros((20, 30))]},
