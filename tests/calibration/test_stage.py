@@ -93,9 +93,10 @@ def test_json_gives_opencv_the_same_image_points(scope, change, pitch, given, er
 def test_json_gives_imagej_and_micro_manager_the_pixel_size():
     """Sensor pixels are not square; Micro-Manager takes the root of the area of a pixel."""
     world = grid_in_view(SCOPE)
-    found = calibrate(world, SCOPE.project(world), **SENSOR)
+    noise = np.random.default_rng(0).normal(0, 0.5, world.shape)
+    found = calibrate(world, SCOPE.project(world) + noise, **SENSOR)
     content = json.loads(found.to_json())
-    width, height = SCOPE.pitch / SCOPE.magnification
+    width, height = SCOPE.pitch / found.microscope.magnification
     pixel = content["imagej"]
     assert (pixel["pixel_width"], pixel["pixel_height"]) == pytest.approx((width, height))
     mean = content["micro_manager"]["PixelSizeUm"]
