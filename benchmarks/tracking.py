@@ -355,6 +355,7 @@ def limits(tables: Tables) -> Limits:
         ["motion", "warp", "corner displacement (px)", "method"]
     )
     frame = tables["Time of one frame"].set_index("motion")
+    ground = tables["Ground in the box"]["silent (%)"]
     held, again = tables["Photographs held out"], tables["Returns"]["found in frame 3 (%)"]
     spread = held.loc[~held["condition"].isin(ABSENT), "z-rms of the middle"]
     success = held.set_index(["motion", "condition"])["success (%)"]
@@ -384,6 +385,7 @@ def limits(tables: Tables) -> Limits:
         ("photographs: error over stated σ, smallest of all conditions", spread.min(), "≥", 0.6),
         ("photographs: error over stated σ, median of all conditions", spread.median(), "≤", 1.3),
         ("back after being hidden: found, %", again.min(), "≥", 95),
+        ("ground in the box: silent errors, %", ground.mean(), "≤", 2),
     ]
 
 
