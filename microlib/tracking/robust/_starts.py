@@ -79,8 +79,8 @@ class PointFlow:
         # The power is at least that of rounding to whole levels.
         least = max(float(part.sum()), 1.0)
         power = np.maximum(cv2.matchTemplate(seen * seen, part, cv2.TM_CCORR), least)
-        scores = cv2.matchTemplate(seen, own, cv2.TM_CCORR)
-        scores /= np.sqrt(power * max(float(np.square(own).sum()), least))
+        power *= max(float(np.square(own).sum()), least)
+        scores = cv2.matchTemplate(seen, own, cv2.TM_CCORR) / np.sqrt(power)
         y, x = np.unravel_index(scores.argmax(), scores.shape)
         best, moved = scores[y, x], np.hypot(y - near, x - near) / self._level.to_image[0, 0] > 1
         scores[max(0, y - 3) : y + 4, max(0, x - 3) : x + 4] = 0
