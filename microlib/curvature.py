@@ -93,7 +93,7 @@ class Curvature(Result):
 
 
 def curvature_windows(size: int = 7) -> Windows:
-    """Return Besl's separable smoothing and derivative windows of `size` pixels.
+    """Return smoothing and derivative windows, each of which acts along rows or columns.
 
     Parameters
     ----------
@@ -189,17 +189,16 @@ def surface_curvature(
     sizes use binomial and least-squares windows of that length. The windows are applied to the
     heights as in (3.20)–(3.21). The first derivatives are divided by the pixel size, and the second
     derivatives are divided by its square. H and K follow from (3.22)–(3.23). The thesis omits the
-    pixel size, which determines the units of H and K and of their thresholds.
+    pixel size, so its thresholds of H and K do not apply here.
 
     The uncertainties assume that the errors of neighboring heights are independent. Heights of
     `depth_from_focus` are smoothed with a Gaussian of σ = 7 px, so their errors are not independent
-    and the uncertainties are approximate.
-    The uncertainty of a second derivative is `noise` times the root of the sum of the squared
-    window coefficients, divided by the square of the pixel size. The uncertainty of H is computed
-    to first order in the errors of the second derivatives, and the uncertainty of K to second
-    order, because the terms of first order vanish on a plane. Errors of the first derivatives are
-    neglected, because their effect is smaller by the ratio of the window size to the radius of
-    curvature.
+    and the uncertainties are approximate. The uncertainty of a second derivative is `noise` times
+    the root of the sum of the squared window coefficients, divided by the square of the pixel size.
+    The uncertainty of H is computed to first order in the errors of the second derivatives, and the
+    uncertainty of K to second order, because the terms of first order vanish on a plane. Errors of
+    the first derivatives are neglected. Compared with errors of the second derivatives, their
+    effect is smaller by the ratio of the window size to the radius of curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

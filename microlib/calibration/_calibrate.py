@@ -100,7 +100,7 @@ def calibrate(
     ValueError
         If shapes disagree, if there are fewer than 5 points, if points lie on one line or outside
         the image, or if no microscope fits the points. If views are to be left out, the error has
-        their numbers, from zero, in its attribute `views`.
+        their numbers, counted from zero, in its attribute `views`.
 
     Notes
     -----
@@ -118,7 +118,7 @@ def calibrate(
     It determines M divided by the pixel pitch, which is the scale in px/µm, and the principal
     distance T_op + f in px, which OpenCV calls the focal length. These parameters are named
     "px_per_um" and "principal_distance"; they replace "magnification" and "focal_length". The unit
-    of κ is then 1/px², and the unit of κ₂ is 1/px⁴.
+    of the distortion κ is then 1/px², and that of its second coefficient is 1/px⁴.
 
     *Uncertainty.* The covariance accounts for
 
@@ -129,7 +129,7 @@ def calibrate(
       of fit (p < 0.1).
 
     The covariance does not account for an error of `pitch`: if `pitch` is 1 % too large, M is 1 %
-    too small, and an estimated f is M/(1 + M) % too large.
+    too small, and an estimated f is M/(1 + M) % too large, because T_op + f does not change.
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
@@ -147,13 +147,13 @@ def calibrate(
     - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. It
       is kept only if it differs from 1 by more than 0.003.
 
-    *A print that is not square*, as many printers make it, is reported by `print_aspect`, if this
-    explains at least half of the squared residuals of several views. Measure the print along both
-    directions, and give both numbers as `pitch`.
+    *A print that is not square*, as many printers make it, is reported by `print_aspect`, if the
+    stretch explains at least half of the squared residuals of several views. Measure the print
+    along both directions, and give both numbers as `pitch`.
 
     *Inconsistent views*, such as a grating in the background or a mirrored print, are listed by
-    `inconsistent`, or by the error if no fit is possible. They do not fit the lens of the largest
-    set of views that agree. Leave them out.
+    `inconsistent`, or by the error if no fit is possible. They contradict the largest set of views
+    that agree on one lens. Leave them out.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

@@ -154,7 +154,8 @@ def modulus_from_image(
     -------
     ImageEstimate
         The `modulus` with its uncertainty and interval, the `dimple` and the `boundary`. The
-        property `model_moduli` contains the moduli by other models of the same dimple.
+        properties `model_moduli` and `model_interval` contain the moduli by all models of the same
+        dimple, and their range.
 
     Raises
     ------

@@ -51,7 +51,8 @@ def depth_from_focus(
         be an array, a multi-page TIFF or OME-TIFF, a folder or file-name pattern of images, a
         video, or an iterable of images or image files, such as a generator.
         `microlib.io.read_frames` describes these forms. Color frames are converted to luminance.
-        The luminance of all frames is held in memory; color files are read twice.
+        The luminance of all frames is held in memory. Color files are read again for the
+        all-in-focus image.
     positions : array_like, shape (n,), optional
         Position of each frame along the optical axis, µm. Positions increase or decrease, and their
         spacing may vary. By default the positions are read from a TIFF's OME or ImageJ metadata.
@@ -119,20 +120,20 @@ def depth_from_focus(
     can be passed to `correct_spikes` and `smooth_depth`.
 
     The uncertainty accounts for the random error, and for the bias that arises where the shape of a
-    peak deviates from a Gaussian. If a focus ring moves the lens instead of the object, this bias
-    was 0.6 frame spacings in a test, nearly the same for all pixels. At a step, the uncertainty
-    also accounts for the possibility that the pixel lies on the other side. Where a peak is only
-    slightly clearer than noise, the pixel keeps its depth, and its uncertainty grows towards that
-    of a random depth between the first and the last frame, which is the distance of these frames
-    divided by √12. On a photographed board the stated uncertainty was several times larger than the
-    error.
+    peak deviates from a Gaussian. In a test with a lens that was moved by a focus ring, this bias
+    was 0.6 frame spacings, nearly the same for all pixels. At a step, the uncertainty also accounts
+    for the possibility that the pixel lies on the other side. Where a peak is only slightly clearer
+    than noise, the pixel keeps its depth, but its uncertainty is larger, up to that of a random
+    depth between the first and the last frame. The uncertainty of a random depth is the distance of
+    these frames divided by √12. On a photographed board the stated uncertainty was several times
+    larger than the error.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 
     - Surfaces without texture. In tests with six kinds of noise, the mean share of such pixels was
       at most 2 %. In single stacks of JPEG frames the share was larger.
     - Objects that are narrow in the image. In tests with bars of a width of 4 to 10 px, the share
-      of such pixels was below 5 %. Narrower bars are worse.
+      of such pixels was below 5 %. On narrower bars the share is larger.
 
     If the sharpest frame of a pixel is the first or the last frame, the pixel is flagged in
     `at_end`. Its depth is the position of that frame, or the peak that "multiscale" fits. If this

@@ -12,7 +12,7 @@ from microlib._common import FlatResult, as_array, as_scalar, check_same_length
 
 @dataclass(frozen=True)
 class StepMetrics(FlatResult):
-    """Settling time, accuracy, precision and overshoot of a step; NaN if it never settled.
+    """Settling time, accuracy, precision and overshoot of a step; NaN if the step never settled.
 
     Attributes
     ----------

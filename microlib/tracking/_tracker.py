@@ -38,14 +38,14 @@ class ESMTracker:
     Efficient second-order minimization (ESM) [1]_ [2]_ aligns the template with each frame,
     starting from the expected pose. The template is then divided into blocks, which are compared
     with the frame. If too many blocks differ by more than the noise, the alignment is continued
-    with a model of varying light, blur and tone. Tukey's weights [3]_ reduce the influence of
-    hidden parts. If this result is not accepted, further attempts start from other poses. Chapter 2
-    of the book explains the attempts.
+    with a model of varying light, blur and tone curve, in which Tukey's weights [3]_ reduce the
+    influence of hidden parts. If this result is not accepted, further attempts start from other
+    poses. Chapter 2 of the book explains the attempts.
 
-    The first result whose estimated probability of being right is at least 0.7 is accepted. If
-    there is no such result, the template is reported as lost. In the following frames, a lost
-    template is searched for in the whole frame, or, with a Kalman filter, near the predicted
-    position.
+    The first result whose estimated probability of being right is at least 0.7, and whose position
+    is unambiguous, is accepted. If there is no such result, the template is reported as lost. In
+    the following frames, a lost template is searched for in the whole frame, or, with a Kalman
+    filter, near the predicted position.
 
     A visible template may be reported as lost in these cases:
 
@@ -73,7 +73,7 @@ class ESMTracker:
         accepted pose.
     mask : array_like, shape (H, W), optional
         True or not 0 where the frame shows the object. Only these pixels of the box are tracked. By
-        default these are all pixels of the box.
+        default all pixels of the box are used.
 
     Attributes
     ----------
