@@ -613,8 +613,10 @@ def check(
     if entry.condition or not digits:
         # No printed digits say how many to show: four in all, and three decimals at most.
         shown = min(3, max(0, 3 - math.floor(math.log10(abs(value))))) if value else 3
-    else:  # one place more than printed
-        shown = max(0, 1 - int(Decimal(digits).as_tuple().exponent))
+    else:  # one place more than printed, and none for a count
+        exponent = int(Decimal(digits).as_tuple().exponent)
+        counted = exponent >= 0 and low == high and float(value).is_integer()
+        shown = 0 if counted else max(0, 1 - exponent)
     objection = entry.objection(value, low, high)
     if objection and not os.environ.get(RECORD_MISMATCHES):
         printed = f"printed {entry.condition or entry.printed or 'without a number'}"

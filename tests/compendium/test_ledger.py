@@ -197,6 +197,11 @@ def test_number_is_shown_to_its_uncertainty(value, low, high, digits, text):
     assert str(moved) == text
 
 
+def test_count_is_shown_without_decimals():
+    assert str(ledger.check("section-5.1/zoom-ratio", 15.0)) == "15"
+    assert str(ledger.check("section-5.1/zoom-ratio", 15.2)) == "15.2"
+
+
 @pytest.mark.parametrize("claim", [c for c in CLAIMS if c.compared], ids=lambda claim: claim.id)
 def test_every_claim_fails_for_some_planted_number(claim):
     """No claim is true by construction: a number far from the right one does not pass."""
