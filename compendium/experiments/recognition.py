@@ -262,3 +262,18 @@ def wilson(right: NDArray[np.bool_]) -> tuple[float, float, float]:
     result = binomtest(int(np.sum(right)), len(right))
     low, high = result.proportion_ci(method="wilson")
     return 100 * result.statistic, 100 * low, 100 * high
+
+
+def sign_test(one: NDArray[np.bool_], two: NDArray[np.bool_]) -> tuple[float, int, int]:
+    """Return the p-value of paired names, and how often only the first or the second are right.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from compendium.experiments.recognition import sign_test
+    >>> first = np.array([True] * 5 + [False])
+    >>> sign_test(first, np.zeros(6, bool))
+    (0.0625, 5, 0)
+    """
+    only_one, only_two = int(np.sum(one & ~two)), int(np.sum(two & ~one))
+    return float(binomtest(only_one, only_one + only_two).pvalue), only_one, only_two
