@@ -19,7 +19,7 @@ __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
 
 def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
-    """Rotation by γ about x, then β about y, then α about z: R = Rz(α) Ry(β) Rx(γ) (2.6, 2.7).
+    """Return Rz(α) Ry(β) Rx(γ), rotations by γ about x, then β about y, then α about z (2.6, 2.7).
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ _RANK_TOLERANCE = 1e-9
 
 
 def radial_alignment(world: ArrayLike, sensor: ArrayLike) -> Array:
-    """Pose of a plane pattern from the directions of its points in the image.
+    """Return the pose of a plane pattern from the directions of its points in the image.
 
     Perspective and radial distortion move an image point along its radius only, so that (u, v)
     stays parallel to (X, Y) whatever M, h and κ are (2.13).
@@ -90,7 +90,7 @@ def _euler_angles(block: Array) -> Array:
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:
-    """Magnification, distortion and inverse distance of the plane from a known pose.
+    """Return magnification, distortion and inverse distance of the plane from a known pose.
 
     Parameters
     ----------

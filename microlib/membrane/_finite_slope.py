@@ -18,7 +18,7 @@ from microlib.membrane._point_load import GAUSS, check_bending
 
 
 def steepest_depth(rim_radius: float, *, probe_half_width: float) -> float:
-    r"""Depth at which a membrane under uniform stress is vertical at the probe.
+    r"""Return the depth at which a membrane under uniform stress is vertical at the probe.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def finite_slope_modulus(
     probe_half_width: float,
     poisson_ratio: float,
 ) -> float:
-    r"""Elastic modulus from one indentation for finite slopes under a uniform stress.
+    r"""Return the elastic modulus from one indentation for finite slopes under a uniform stress.
 
     Parameters
     ----------

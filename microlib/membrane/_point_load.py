@@ -52,7 +52,7 @@ def elastic_modulus(
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
 ) -> Array:
-    r"""Elastic modulus of a membrane from one indentation, equation (5.2).
+    r"""Return the elastic modulus of a membrane from one indentation, equation (5.2).
 
     .. math:: E = \frac{F a^2 (1-\nu)}{2\pi h w_d^3} \frac{1}{S(c/a)}, \qquad
               S(\zeta) = \frac{3-4\zeta^2+\zeta^4+2\ln\zeta^2}
@@ -140,7 +140,7 @@ def indentation_force(
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
 ) -> Array:
-    r"""Force that makes a dimple of given radius and depth, equation (4.7).
+    r"""Return the force that makes a dimple of given radius and depth, equation (4.7).
 
     .. math:: F = \frac{2\pi E h w_d^3}{a^2(1-\nu)} S(c/a)
 
@@ -191,7 +191,7 @@ def dimple_depth(
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
 ) -> Array:
-    r"""Depth to which a force presses a membrane, equation (4.7) solved for w_d.
+    r"""Return the depth to which a force presses a membrane, equation (4.7) solved for w_d.
 
     .. math:: w_d = \left(\frac{F a^2 (1-\nu)}{2\pi E h\, S(c/a)}\right)^{1/3}
 
@@ -247,7 +247,7 @@ def dimple_profile(
     *,
     probe_half_width: ArrayLike,
 ) -> Array:
-    r"""Depth of the deformed membrane below the rim, equations (4.2) and (4.3).
+    r"""Return the depth of the deformed membrane below the rim, equations (4.2) and (4.3).
 
     .. math:: w(r) = w_d \frac{1-(r/a)^2+\ln(r/a)^2}{1-\zeta^2+\ln\zeta^2}, \qquad c \le r \le a
 
@@ -298,7 +298,7 @@ def membrane_stress(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
 ) -> Array:
-    r"""Uniform stress of the dimple's membrane, equation (4.3) solved for :math:`\sigma_d`.
+    r"""Return the uniform stress of the dimple's membrane, (4.3) solved for :math:`\sigma_d`.
 
     With this stress the membrane and the pressure balance the force on every circle (4.1).
 
@@ -341,7 +341,7 @@ def mean_strain(
     probe_half_width: ArrayLike,
     small_slopes: bool = True,
 ) -> Array:
-    r"""Mean strain of the dimple, equations (4.4) and (4.5).
+    r"""Return the mean strain of the dimple, equations (4.4) and (4.5).
 
     .. math:: \bar\varepsilon_d = \frac12
               \frac{\int_c^a \frac12 (dw/dr)^2\, r\,dr}{\int_c^a r\,dr}

@@ -29,7 +29,7 @@ def modulus_uncertainty(
     *,
     dimple_covariance: ArrayLike | None = None,
 ) -> float:
-    r"""Standard deviation of the modulus (5.2) by first-order error propagation.
+    r"""Return the standard deviation of the modulus (5.2) by first-order error propagation.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def modulus_samples(
     size: int,
     rng: np.random.Generator | int,
 ) -> Array:
-    r"""Random samples of the modulus (5.2), from random errors of its inputs.
+    r"""Return random samples of the modulus (5.2), from random errors of its inputs.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def indent_capsule(
     law: str = "neo-hooke",
     inflation: float = 1.0,
 ) -> MembraneState:
-    r"""Shape and stress of a fluid-filled capsule between a flat-ended probe and a smooth plate.
+    r"""Compute shape and stress of a fluid-filled capsule between a flat probe and a smooth plate.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def capsule_modulus(
     poisson_ratio: float,
     law: str = "neo-hooke",
 ) -> CapsuleModulus:
-    r"""Elastic modulus and inflation of a capsule from its dimple and its radius.
+    r"""Return the elastic modulus and the inflation of a capsule from its dimple and its radius.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ def indent_disc(
     pressure: float | str = "balance",
     pretension: float = 0.0,
 ) -> MembraneState:
-    r"""Shape and stress of a clamped flat disc under a bonded flat-ended probe.
+    r"""Compute shape and stress of a clamped flat disc under a bonded flat-ended probe.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def disc_modulus(
     pressure: float | str = "balance",
     pretension: float = 0.0,
 ) -> float:
-    """Elastic modulus of a clamped flat disc from its depth under a force.
+    """Return the elastic modulus of a clamped flat disc from its depth under a force.
 
     Parameters
     ----------

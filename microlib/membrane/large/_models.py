@@ -22,7 +22,7 @@ def model_moduli(
     poisson_ratio: float,
     capsule_radius: float | None = None,
 ) -> dict[str, float]:
-    """Elastic modulus of one dimple by each model that has a solution.
+    """Return the elastic modulus of one dimple by each model that has a solution.
 
     Parameters
     ----------
