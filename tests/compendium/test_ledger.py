@@ -156,6 +156,13 @@ def test_mismatch_is_recorded_on_request(monkeypatch):
     assert said == "follows: it differs by more than the rounding of the printed numbers"
 
 
+def test_bound_is_rounded_away_from_the_number():
+    """What is at most 0.124 is at most 0.13, and what is at least 0.126 is at least 0.12."""
+    assert str(ledger.report("above", 0.124, toward=1)) == "0.13"
+    assert str(ledger.report("below", 0.126, toward=-1)) == "0.12"
+    assert str(ledger.report("nearest", 0.126)) == "0.13"
+
+
 def test_records_are_written_and_read(tmp_path):
     try:
         ledger.open_record(tmp_path / "claims" / "05.json")

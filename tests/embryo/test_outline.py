@@ -13,7 +13,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from microlib.embryo import OutlineDimple, dimple_from_outline, read_outline
+from microlib.embryo import (
+    OutlineDimple,
+    dimple_from_outline,
+    dimple_geometry,
+    fit_gaussians,
+    loess,
+    read_outline,
+)
+from microlib.embryo._outline import SPANS
 from tests.checks import hold_sigma
 
 DATA = Path(__file__).parents[2] / "data" / "synthetic"
@@ -95,6 +103,17 @@ def test_outline_without_noise_has_finite_covariance(form: str) -> None:
     dimple = dimple_from_outline(x, y, pixel_size=1.0).left
     assert np.isfinite(dimple.covariance).all()
     assert dimple.dimple_depth == pytest.approx(DEPTH, abs=3 * dimple.covariance[1, 1] ** 0.5)
+
+
+def test_covariance_without_noise_is_that_of_the_three_spans():
+    found = dimple_from_outline(ACROSS, smooth(ACROSS), pixel_size=2.0)
+    sizes = []
+    for span in SPANS:
+        curve = fit_gaussians(found.x, loess(found.x, found.y, span=span))
+        dimple = dimple_geometry(curve, pixel_size=2.0)
+        sizes.append([dimple.rim_radius, dimple.dimple_depth])
+    variances = np.diag(found.left.covariance)
+    np.testing.assert_allclose(variances, np.var(sizes, axis=0, ddof=1), rtol=0.1)
 
 
 #: Closed outlines: heights of the part that returns below the dimple, number of the first point,

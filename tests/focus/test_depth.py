@@ -168,6 +168,17 @@ def test_heights_beyond_the_scan_are_flagged_and_as_uncertain_as_a_random_depth(
 
 
 @pytest.mark.parametrize("measure", NAMES)
+def test_heights_at_the_last_usable_frame_are_as_uncertain_as_a_random_depth(measure):
+    frames = render(np.full(SHAPE, 225.0))
+    frames[-1] = 120
+    with pytest.warns(UserWarning, match="frames 10 are uniform, .*: left out"):
+        result = depth_from_focus(frames, POSITIONS, measure=measure)
+    np.testing.assert_allclose(np.nanmedian(result.depth), 225.0)
+    least = POSITIONS[-2] / np.sqrt(12)
+    assert np.nanmedian(result.uncertainty) == pytest.approx(least, rel=1e-2)
+
+
+@pytest.mark.parametrize("measure", NAMES)
 @pytest.mark.parametrize(("dtype", "drift"), [("u1", 0), ("u1", 5), ("u2", 5), ("f4", 5)])
 def test_depth_is_nan_where_frames_are_uniform(measure, dtype, drift):
     """Also where the light changes."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from microlib import membrane
-from microlib.membrane import capsule_modulus, elastic_modulus, model_moduli
+from microlib.membrane import capsule_modulus, disc_modulus, elastic_modulus, model_moduli
 from tests.checks import (
     BROKEN,
     NEGATIVE,
@@ -196,3 +196,8 @@ def test_moduli_of_models_are_those_of_their_functions():
     # No capsule of this radius has the dimple, and a probe as wide as the dimple is an error.
     without = model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=250.0)
     assert set(without) == {name for name in deep if not name.startswith("capsule")}
+    sizes["poisson_ratio"] = 0.3
+    compressible = model_moduli(197.24, 246.95, 121.22, **sizes)
+    by_hand = disc_modulus(197.24, 246.95, 121.22, **sizes, law="hooke")
+    assert compressible["disc, hooke"] == pytest.approx(by_hand)
+    assert compressible["disc, neo-hooke"] == deep["disc, neo-hooke"]

@@ -86,6 +86,13 @@ def test_moves_stay_within_step_and_travel():
     assert farthest == pytest.approx(0.99 * 170.0, abs=1.0)
 
 
+def test_default_test_move_is_a_tenth_of_the_shorter_travel():
+    run = steer(scope_of(), [3.0, 0.0], travel=[600.0, 50.0], test_move=None)
+    assert run.reason == ""
+    tried = run.log.loc[run.log["phase"] == "calibration", ["stage_x_um", "stage_y_um"]]
+    np.testing.assert_allclose(tried.abs().max(), 5.0, atol=0.05)
+
+
 def test_a_target_beyond_the_travel_ends_the_run_before_any_move():
     scope = scope_of()
     run = steer(scope, [[10.0, 0.0], [200.0, 0.0]], travel=300.0)

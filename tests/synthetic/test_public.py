@@ -185,6 +185,19 @@ def test_wrong_arguments_are_refused_by_name(function):
     hold_refused(function, CALLS[function](), REFUSED.get(function, {}))
 
 
+def test_noise_without_a_source_of_numbers_is_refused():
+    stack = {"texture": TEXTURE, "height": RELIEF, "positions": FOCI, "blur_rate": 0.2}
+    scope = Microscope(4e4, 1e4, 2500.0, pixel_pitch=10.0, image_size=(40, 30))
+    board = {"microscope": scope, "imaging": ImagingConditions(noise=2.0)}
+    for draw, given in (
+        (synthetic.focal_stack, stack | {"noise": 2.0}),
+        (synthetic.render_circles, board),
+        (synthetic.render_squares, board),
+    ):
+        with pytest.raises(ValueError, match="rng must be given if there is noise, got None"):
+            draw(**given)
+
+
 #: One grey level of 255, where the last digit of a scene decides what it is rounded to.
 LEVEL = 1 / 250
 

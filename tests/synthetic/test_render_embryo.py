@@ -123,6 +123,16 @@ def test_illumination_gradient_has_any_direction():
     assert np.abs(slopes).max() > 10
 
 
+def test_unevenness_is_the_largest_relative_change_of_brightness():
+    options = {"pixel_size": 20.0, "shape": (80, 90), "noise": 0.0}
+    uneven, even = (
+        embryo_image(Embryo(1.0, 0.0, 1.0), rng=3, unevenness=share, **options).image.astype(float)
+        for share in (0.2, 0.0)
+    )
+    # Levels of about 170 are rounded to whole numbers.
+    assert np.abs(uneven / even - 1).max() == pytest.approx(0.2, abs=0.01)
+
+
 def test_tilt_rotates_the_scene_clockwise():
     scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
