@@ -12,7 +12,7 @@ from typing import Any
 try:
     __version__ = version("microlib-thesis")
 except PackageNotFoundError:  # a checkout that was never installed
-    __version__ = "0.5.0"
+    __version__ = "0.6.0"
 
 _SUBJECTS = (
     "calibration",
