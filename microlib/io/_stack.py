@@ -137,8 +137,12 @@ def select_frames(
         else:
             raise ValueError(f"it has {length} along axis {axis}, got number {number} (from 0)")
     if (left not in ("", named)) if named else (len(left) > 1 or left == "C"):
-        several = ((axis, n) for axis, n in zip(axes, shape, strict=True) if n > 1)
-        lengths = ", ".join(f"{axis}={n}" for axis, n in several)
+        several = [f"{axis}={n}" for axis, n in zip(axes, shape, strict=True) if n > 1]
+        if named and len(several) == 1:
+            raise ValueError(
+                f"it has the axis {several[0]} and no axis {named}: leave out axis (--axis)"
+            )
+        lengths = ", ".join(several)
         raise ValueError(
             f"it has the axes {lengths} besides rows and columns, a stack has one: choose a "
             'channel or a time, or axis="C" (--axis C) if the frames come along C'

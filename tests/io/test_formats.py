@@ -237,7 +237,9 @@ def test_axis_channel_and_time_select_a_stack(
         with pytest.raises(ValueError, match=rf"it has {count} along axis ., got number {count} "):
             read_frames(path, **options | {name: count})
     for other in {"C", "T", "Z"} - {options.get("axis")} if "axis" in options else ():
-        with pytest.raises(ValueError, match=r'choose a channel or a time, or axis="C" \(--axis C'):
+        one_axis = rf"has the axis .=\d+ and no axis {other}: leave out axis \(--axis\)"
+        several = r'choose a channel or a time, or axis="C" \(--axis C'
+        with pytest.raises(ValueError, match=several if len(lengths) > 1 else one_axis):
             read_frames(path, **options | {"axis": other})
 
 
