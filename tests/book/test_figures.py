@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from book_benchmarks import rows_of
 from book_surfaces import surface_script
 from matplotlib import colormaps
 from PIL import Image
@@ -186,3 +187,16 @@ def test_button_stops_and_starts_film(page: Page, html: Path) -> None:
     assert (moving.is_visible(), still.is_visible()) == (False, True)
     page.emulate_media(media="print")
     assert (still.is_visible(), button.is_visible()) == (True, False)
+
+
+def test_cases_of_a_benchmark_chart_keep_the_order_of_its_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("book_benchmarks.RESULTS", tmp_path)
+    data = [[3, "a", 1.0], [3, "b", 0.9], [20, "a", 0.8], [20, "b", 0.7], [7, "a", 0.6]]
+    tables = {"Shifts": {"columns": ["px", "method", "share"], "data": data}}
+    (tmp_path / "trials.json").write_text(json.dumps({"tables": tables}))
+    options = {"table": "Shifts", "label": "{px} px", "pivot": "method", "values": "share"}
+    shown = rows_of("trials", options | {"columns": "b = B | a"})
+    assert [*shown.index] == ["3 px", "20 px", "7 px"]
+    np.testing.assert_array_equal(shown, [[0.9, 1.0], [0.7, 0.8], [np.nan, 0.6]])
