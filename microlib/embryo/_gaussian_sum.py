@@ -169,9 +169,9 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
 
     def search(start: Array, evaluations: int) -> OptimizeResult:
         return least_squares(
-            lambda parameters: _sum(u, parameters) - v,
+            lambda parameters: _linearize(u, v, parameters)[:, -1],
             start,
-            jac=lambda parameters: _jacobian(u, parameters),
+            jac=lambda parameters: _linearize(u, v, parameters)[:, :-1],
             bounds=(lower, upper),
             x_scale="jac",
             max_nfev=evaluations,
@@ -210,15 +210,20 @@ def _starts(x: Array, y: Array, n: int) -> Iterator[Array]:
         yield np.concatenate([amplitudes, centers, widths])
 
 
-def _sum(x: Array, parameters: Array) -> Array:
-    a, b, c = parameters.reshape(3, -1)
-    return np.exp(-(((x[:, np.newaxis] - b) / c) ** 2)) @ a
+def _linearize(x: Array, y: Array, parameters: Array) -> Array:
+    """Return derivatives by amplitudes, centers and widths, and residuals, as a square matrix.
 
-
-def _jacobian(x: Array, parameters: Array) -> Array:
-    """Return the derivatives by amplitudes, centers and widths; shape (len(x), 3n)."""
+    It is R of the QR decomposition of all points, which has the same products of two columns, and
+    so gives the same steps of the fit. The points are decomposed 256 at a time: OpenBLAS shares
+    larger matrices among threads, which takes 20 times as long on a busy machine.
+    """
     a, b, c = parameters.reshape(3, -1)
     scaled = (x[:, np.newaxis] - b) / c
     bell = np.exp(-(scaled**2))
     by_center = a * bell * 2 * scaled / c
-    return np.hstack([bell, by_center, by_center * scaled])
+    residual = (a * bell).sum(axis=1) - y
+    rows = np.column_stack([bell, by_center, by_center * scaled, residual])
+    while len(rows) > 256:
+        parts = [rows[start : start + 256] for start in range(0, len(rows), 256)]
+        rows = np.vstack([np.linalg.qr(part, mode="r") for part in parts])
+    return np.linalg.qr(rows, mode="r")
