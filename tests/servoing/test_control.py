@@ -13,12 +13,15 @@ JACOBIAN = 1.5893 / 9.9 * np.eye(2)
 WEIGHTS = {"feature_weight": (0.9, 0.9), "control_weight": (0.025e-6, 0.05e-6)}
 
 
-def test_jacobian_is_the_derivative_of_the_projection():
-    m, pitch = 6.4, np.array([9.9, 7.4])
-    world = np.array([[120.0, -80, 300], [-40, 210, 350], [15, 25, 280]])
+@pytest.mark.parametrize(
+    ("pitch", "depth"), [(np.array([9.9, 7.4]), np.array([300.0, 350.0, 280.0])), (9.9, 310.0)]
+)
+def test_jacobian_is_the_derivative_of_the_projection(pitch, depth):
+    m, world = 6.4, np.array([[120.0, -80, 0], [-40, 210, 0], [15, 25, 0]])
+    world[:, 2] = depth
     project = lambda p: m * p[:, :2] / pitch  # noqa: E731  (2.22)
     jacobian = servoing.point_jacobian(
-        project(world), depth=world[:, 2], magnification=m, pixel_pitch=pitch
+        project(world), depth=depth, magnification=m, pixel_pitch=pitch
     )
     step = 1e-6
     for axis in range(6):
@@ -61,7 +64,7 @@ def test_ibvs_error_decays_exponentially_and_drift_is_compensated():
 
 
 def test_loop_with_one_sample_of_delay_is_stable_below_gain_one():
-    stable, unstable = (np.abs(servoing.loop_poles(gain, 1.0)).max() for gain in (0.999, 1.001))
+    stable, unstable = (np.abs(servoing.loop_poles(gain, 1.0))[0] for gain in (0.999, 1.001))
     assert stable < 1 < unstable
 
 
@@ -101,26 +104,35 @@ def optimal():
 
 def test_velocity_is_zero_in_a_lost_frame_and_leads_to_the_next_reference_else():
     ahead = np.outer(np.arange(4.0), [1.0, -2.0])  # the reference of the next samples
-    assert not optimal()(1, np.full(2, np.nan), ahead).any()
+    for lost in ((np.nan, np.nan), (7.0, np.nan)):
+        assert not optimal()(1, lost, ahead).any()
     for k, wanted in enumerate(ahead[[1, 2, 3, 3]]):
         np.testing.assert_allclose(optimal()(k, np.zeros(2), ahead), optimal().gain @ wanted)
 
 
 def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
+    path = np.linspace((3.0, -2.0), (5.0, 4.0), 2000)
+
     def shaken(rng):
         camera = servoing.CameraTiming(interval=0.5, jitter=0.3)
         still = lambda *_: np.zeros(2)  # noqa: E731
-        return loop(still, np.zeros((2000, 2)), camera=camera, rng=rng)
+        return loop(still, path, camera=camera, rng=rng)
 
     run = shaken(4)
     np.testing.assert_array_equal(run.measured, shaken(np.random.default_rng(4)).measured)
-    assert not run.feature.any()
+    np.testing.assert_array_equal(run.feature, path[[0] * 2000])  # where the path begins
     # 2000 numbers per axis determine a standard deviation to 1.6 %; three times that is allowed.
-    np.testing.assert_allclose(run.measured.std(axis=0), 0.3, rtol=0.05)
+    np.testing.assert_allclose((run.measured - path[0]).std(axis=0), 0.3, rtol=0.05)
     np.testing.assert_allclose(run.time[[0, 1, -1]], [0.0, 0.5, 999.5])
 
 
-def test_command_that_is_not_finite_is_rejected():
+def test_command_is_clipped_on_each_axis_and_rejected_if_not_finite():
+    asked = np.array([[500.0, 0.0], [0.0, -900.0], [300.0, -300.0]])
+    run = loop(lambda k, *_: asked[k], np.zeros((3, 2)))
+    np.testing.assert_array_equal(run.command, asked.clip(-400, 400))
+    np.testing.assert_array_equal(run.saturated, [True, True, False])
+    # A fifth of a frame at 400 µm/s, in increments of 0.05 µm.
+    assert run.position[1, 0] == pytest.approx(2.4)
     with pytest.raises(ValueError, match="command must be finite"):
         loop(lambda *_: np.full(2, np.nan), np.zeros((3, 2)))
 

@@ -175,8 +175,8 @@ REFUSED = {
         "depth": not_finite, "pixel_pitch": lambda valid: [*not_finite(valid), 0.0, -valid],
     },
     servoing.simulate: {
-        "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)], "jacobian": not_finite,
-        "rng": NEGATIVE,
+        "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)], "rng": NEGATIVE,
+        "jacobian": lambda valid: [*not_finite(valid), np.array([valid, 0 * valid])],
     },
     servoing.step_metrics: {
         "time": lambda valid: [*no_array(valid), np.zeros(25), valid[:-1]],

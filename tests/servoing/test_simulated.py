@@ -24,6 +24,9 @@ def test_stage_reports_a_move_until_it_arrives():
     np.testing.assert_allclose(rounded, [0.0, 0.05, -1.3], atol=1e-12)
     moved = scope.feature - home
     np.testing.assert_allclose(moved, scope._jacobian @ (50.0, -20.0), atol=0.03)
+    scope.stage.move_to(np.array([9e3, -9e3]))
+    scope.clock.sleep(99.0)
+    np.testing.assert_array_equal(scope.stage.position(), (7500.0, -7500.0))  # 15 mm in all
 
 
 def test_stop_ends_a_move_at_the_current_position():
