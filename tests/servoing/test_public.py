@@ -1,5 +1,6 @@
 """The calls of every public function of servoing: their units, their axes and what they refuse."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -310,7 +311,17 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
     rows = run.log[run.log["lost"]]
     assert len(rows) == seen.sum()
     assert rows[["command_x_um", "measured_x_px"]].isna().all(axis=None)
-    assert np.ptp(run.log["latency_s"].dropna()) > 0.003
+    assert set(run.log["latency_s"].dropna().round(6)) == {0.01, 0.014}  # camera, and tracker
+
+
+def test_reason_states_positions_from_the_start():
+    workstation = begun()
+    move = workstation.stage.move_to
+    workstation.stage.move_to = lambda to: move(to + [0.0, 700.0])
+    run = servoing.servo(workstation, seeing(workstation), PLACE, travel=(500.0, 400.0))
+    assert run.reason.startswith("the stage is beyond the travel")
+    numbers = [float(number) for number in re.findall(r"[\d.]+", run.reason)]
+    assert numbers == pytest.approx([500.0, 400.0, 40.0, 400.0], abs=1.0)
 
 
 def test_relative_error_of_the_jacobian_remains_after_a_move():
