@@ -177,13 +177,13 @@ def test_wrong_arguments_are_refused_by_name(function):
 @pytest.mark.parametrize("function", ELEMENTWISE, ids=lambda f: f.__name__)
 def test_scalars_give_a_scalar_and_arrays_an_array(function):
     given = CALLS[function]
-    one = function(**given)
-    assert isinstance(one, float)
-    radius = A * np.array([[1.0], [1.1], [1.2]])
-    several = function(**given | {"probe_half_width": [17.0, 30.0], "rim_radius": radius})
-    assert isinstance(several, np.ndarray)
-    assert several.shape == (3, 2)
-    assert several[0, 0] == pytest.approx(one, rel=1e-12)
+    assert isinstance(function(**given), float)
+    for name in [name for name, value in given.items() if isinstance(value, float)]:
+        other = "rim_radius" if name == "probe_half_width" else "probe_half_width"
+        columns, rows = given[name] * np.array([1.0, 1.1]), given[other] * np.array([1.0, 1.1, 1.2])
+        wanted = [[function(**given | {name: x, other: y}) for x in columns] for y in rows]
+        found = function(**given | {name: columns, other: rows[:, None]})
+        np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
 def test_moduli_of_models_are_those_of_their_functions():

@@ -317,7 +317,7 @@ def test_run_ends_after_three_lost_frames_in_a_row(seed):
 def test_reason_states_positions_from_the_start():
     workstation = begun()
     move = workstation.stage.move_to
-    workstation.stage.move_to = lambda to: move(to + [0.0, 700.0])
+    workstation.stage.move_to = lambda to: move(np.add(to, (0.0, 700.0)))
     run = servoing.servo(workstation, seeing(workstation), PLACE, travel=(500.0, 400.0))
     assert run.reason.startswith("the stage is beyond the travel")
     numbers = [float(number) for number in re.findall(r"[\d.]+", run.reason)]

@@ -11,6 +11,9 @@ from microlib.synthetic import gripper_scene
 def test_gripper_moves_by_the_shift(pixel_size):
     scene = gripper_scene(np.random.default_rng(3), pixel_size=pixel_size)
     assert scene.opening == pytest.approx(100 / pixel_size)
+    np.testing.assert_allclose(scene.cover, scene.cover[::-1], atol=0.4)  # to a quarter px
+    noise = np.subtract(*(scene.frame((0, 0), seed).astype(float) for seed in (1, 2)))
+    assert noise.std() == pytest.approx(np.sqrt(2 * (2.0**2 + 1 / 12)), rel=0.02)
     rng = np.random.default_rng(0)
     shift = np.array([7.3, -4.6])
     # The ground rests, so compare the gripper alone.

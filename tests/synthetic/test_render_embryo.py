@@ -43,7 +43,10 @@ def test_volume_is_kept_and_rim_has_its_radius(force, rim, c):
 
 
 def test_outline_is_round_at_rest_and_else_smooth_except_at_the_probe():
-    x, y = Embryo(1.0, 0.0, 1.0).outline(1.0).T  # nothing presses
+    rest = Embryo(1.0, 0.0, 1.0)  # nothing presses
+    x, y = rest.outline().T
+    np.testing.assert_allclose(np.hypot(np.diff(x), np.diff(y)), 0.25, rtol=1e-3)
+    assert rest.height == pytest.approx(np.ptp(y), abs=1e-3)
     np.testing.assert_allclose(np.hypot(x, y + 600.0), 600.0, atol=1e-3)
     embryo = Embryo.pressed(150.0, modulus=1.0)
     points = embryo.outline(1.0)
