@@ -100,7 +100,7 @@ def test_figure_text_is_legible_on_phone_in_both_themes(figures: dict[str, ET.El
     assert faint == set()
 
 
-def test_figure_opens_larger_with_its_caption_and_closes_again(page: Page, html: Path) -> None:
+def test_opened_figure_has_its_caption_and_closes(page: Page, html: Path) -> None:
     page.set_viewport_size({"width": 1000, "height": 700})
     page.goto((html / CHAPTER).as_uri())
     link, dialog = page.locator("#fig-ch3-profile a.enlarge"), page.locator("#figure-dialog")

@@ -136,8 +136,8 @@ def test_unevenness_is_the_largest_relative_change_of_brightness():
     assert np.abs(uneven / even - 1).max() == pytest.approx(0.2, abs=0.01)
 
 
-def test_tilt_rotates_the_scene_clockwise():
-    scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=0.1)
+def test_tilt_rotates_the_scene_clockwise():  # a negative one the other way
+    scene = embryo_image(Embryo(1.0, 0.0, 1.0), rng=0, shape=(64, 80), tilt=-0.1)
     turned = scene.to_pixels([[100.0, 0.0], [0.0, 100.0], [0.0, 0.0]]) - scene.center
-    wanted = [[np.cos(0.1), np.sin(0.1)], [np.sin(0.1), -np.cos(0.1)], [0, 0]]
+    wanted = [[np.cos(0.1), -np.sin(0.1)], [-np.sin(0.1), -np.cos(0.1)], [0, 0]]
     np.testing.assert_allclose(turned, np.multiply(wanted, 100.0 * 1.2 / 4.65), atol=1e-9)

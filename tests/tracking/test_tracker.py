@@ -24,6 +24,9 @@ def corner_errors(motion, distance, warp, trials):
         pair = warped_pair(seed, distance, warp=warp)
         track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
         distances = np.linalg.norm(track.corners - pair.corners, axis=1)
+        box = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (pair.box[2] - 1.0) + pair.box[:2]
+        mapped = cv2.perspectiveTransform(box[None], track.homography)[0]
+        assert track.lost or np.abs(mapped - track.corners).max() < 1e-9
         errors.append(np.inf if track.lost else np.sqrt(np.mean(distances**2)))
     return np.array(errors)
 
@@ -32,19 +35,20 @@ def corner_errors(motion, distance, warp, trials):
 # the success rate has dropped to 75 %. The row of 0.80 allows three failures, and fails with 93 %
 # if the rate is 60 %. More trials are in benchmarks/tracking.py.
 @pytest.mark.parametrize(
-    ("motion", "warp", "distance", "least"),
+    ("motion", "warp", "distance", "least", "median"),
     [
-        ("translation", "shift", 32.0, 1.0),
-        ("affine", "affine", 15.0, 0.93),
-        ("homography", "homography", 7.6, 0.93),
-        ("homography", "homography", 15.0, 0.80),
-        ("homography", "shift", 15.0, 0.93),
+        ("translation", "shift", 32.0, 1.0, 0.006),
+        ("affine", "affine", 15.0, 0.93, 0.012),
+        ("homography", "homography", 7.6, 0.93, 0.02),
+        ("homography", "homography", 15.0, 0.80, 0.06),
+        ("homography", "shift", 15.0, 0.93, 0.02),
     ],
 )
-def test_convergence_range_is_at_least_the_documented_one(motion, warp, distance, least):
+def test_convergence_range_is_at_least_the_documented_one(motion, warp, distance, least, median):
     errors = corner_errors(motion, distance, warp, 16)
     assert np.mean(errors < 1.0) >= least
     assert (errors[errors >= 1.0] == np.inf).all()  # no wrong pose is reported as found
+    assert np.median(errors) < median  # measured 0.004 to 0.03 px
 
 
 def test_translation_error_is_below_a_hundredth_of_a_pixel():
@@ -86,31 +90,6 @@ def test_template_returns_to_its_box_in_the_first_frame(motion):
     assert track.iterations >= 2  # of both levels
 
 
-@pytest.mark.parametrize("motion", ["translation", "affine", "homography"])
-def test_track_agrees_with_ecc_and_is_more_accurate(motion):
-    ours, theirs, mode = [], [], getattr(cv2, f"MOTION_{motion.upper()}")
-    warp = "shift" if motion == "translation" else motion
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-6)
-    for seed in range(8):
-        pair = warped_pair(100 + seed, 1.0, warp=warp)
-        track = ESMTracker(pair.first, pair.box, motion).track(pair.second)
-        x, y, width, height = pair.box
-        template = pair.first[y : y + height, x : x + width]
-        start = np.float32([[1, 0, x], [0, 1, y], [0, 0, 1]])[: 3 if motion == "homography" else 2]
-        found = cv2.findTransformECC(template, pair.second, start, mode, criteria, None, 1)[1]
-        matrix = np.vstack([found, [0, 0, 1]])[:3].astype(float)
-        ends = np.array([[0.0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]])
-        peer = cv2.perspectiveTransform(ends[None], matrix)[0]
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [width - 1.0, height - 1.0] + [x, y]
-        mapped = cv2.perspectiveTransform(corners[None], track.homography)[0]
-        np.testing.assert_allclose(mapped, track.corners, atol=1e-9)
-        # Two estimators of one warp, both to a few hundredths of a pixel.
-        assert np.abs(peer - track.corners).max() < 0.12
-        ours.append(np.sum((track.corners - pair.corners) ** 2))
-        theirs.append(np.sum((peer - pair.corners) ** 2))
-    assert np.mean(ours) < 0.7 * np.mean(theirs)
-
-
 def test_template_partly_outside_the_image_is_tracked():
     texture = mixed_texture((150, 150), np.random.default_rng(4), scales=2.0)
     rng = np.random.default_rng(5)
@@ -149,7 +128,7 @@ def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     assert reasons[-1] == "out of view"
 
 
-def test_template_is_searched_as_far_as_the_prediction_is_uncertain():
+def test_template_three_boxes_away_is_found_if_the_filter_is_uncertain():
     """Five frames without it leave a standard deviation of 86 px; the box has a side of 50 px."""
     texture = mixed_texture((100, 400), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=10.0, noise=0.1)
