@@ -1,10 +1,10 @@
-"""The covariance of least squares: against NumPy's inverse, Monte Carlo, and by hand where it is
-open."""
+"""Least squares: covariances against NumPy's inverse, robust weights on normal errors."""
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from microlib._common import inverse_normal
+from microlib._common import TUKEY_LIMIT, inverse_normal, robust_std, tukey_weights
 
 rng = np.random.default_rng(0)
 
@@ -40,3 +40,13 @@ def test_direction_is_determined_unless_rounding_decides(gap, known):
     # By hand: both variances are 1/gap², to rounding over gap.
     expected = gap**-2 if known else np.inf
     np.testing.assert_allclose(np.diag(found), expected, rtol=1e-7)
+
+
+def test_biweight_is_95_percent_efficient_and_median_gives_std_for_normal_errors():
+    errors = stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
+    assert robust_std(-3.0 * errors) == pytest.approx(3.0, rel=1e-4)
+    near = np.stack([errors - 1e-6, errors + 1e-6])
+    slope = np.diff(near * tukey_weights(near, TUKEY_LIMIT), axis=0)[0] / 2e-6
+    psi = errors * tukey_weights(errors, TUKEY_LIMIT)
+    # The variance of the mean over that of an M-estimate.
+    assert slope.mean() ** 2 / np.mean(psi**2) == pytest.approx(0.95, abs=1e-3)

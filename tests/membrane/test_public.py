@@ -101,11 +101,13 @@ ARRAYS, NUMBERS = refused(BROKEN, "modulus"), refused(NO_NUMBER, "modulus", "cap
 REFUSED = {
     membrane.elastic_modulus: {
         "rim_radius": [*BROKEN, 0, -1, 10.0],
-        "probe_half_width": [*BROKEN, 0, -1, A],
+        "probe_half_width": [*BROKEN, 0, -1, A, Wrong([10.0, 300.0, 20.0], "got 300 and 213 µm")],
     },
     membrane.finite_slope_modulus: {"probe_half_width": [*NOT_POSITIVE, 300.0]},
     membrane.dimple_profile: {
-        "radius": lambda valid: [*not_finite(valid), np.zeros(3), -valid, [10.0]]
+        "radius": lambda valid: [
+            *(*not_finite(valid), np.zeros(3), -valid, [10.0], Wrong([90.0, 250.0], "got 250 µm")),
+        ]
     },
     membrane.modulus_uncertainty: {
         "values": [{"force": 1.0}, VALUES | {"force": np.nan}],
