@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, FlatResult, Image, flat_row
 from microlib.focus._registration import Registration
-from microlib.focus.common import DepthMap, Frame, blur
+from microlib.focus.common import DepthMap, Frame, bands, blur
 from microlib.io import Stack
 
 #: Rows that are blended at a time, and the reach of the weights of the all-in-focus image.
@@ -210,12 +210,10 @@ def composite(
     """
     total = np.zeros(stack.first.shape, np.float32)
     for k, frame in enumerate(images):
-        for top in range(0, len(total), _BAND):
-            start = max(top - _REACH, 0)
-            here = index[start : top + _BAND + _REACH] == k
+        for rows, padded, own in bands(len(total), _BAND, _REACH):
+            here = index[padded] == k
             if here.any():
-                rows = slice(top, top + _BAND)
-                weight = blur(here.astype(np.float32), 2.0)[top - start :][: len(total[rows])]
+                weight = blur(here.astype(np.float32), 2.0)[own]
                 total[rows] += (weight[..., None] if stack.color else weight) * frame[rows]
         done(k + 1)
     if stack.dtype.kind in "ui":

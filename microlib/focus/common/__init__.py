@@ -3,6 +3,7 @@
 Nothing in this folder refers to either of them.
 """
 
+from microlib.focus.common._bands import Band, bands
 from microlib.focus.common._depth_map import DepthMap, Frame
 from microlib.focus.common._filters import TINY, blur, doubled, halved, ratio
 from microlib.focus.common._planes import smooth_planes
@@ -12,9 +13,11 @@ from microlib.focus.common._threads import Spread, run_jobs
 
 __all__ = [
     "TINY",
+    "Band",
     "DepthMap",
     "Frame",
     "Spread",
+    "bands",
     "blur",
     "doubled",
     "halved",

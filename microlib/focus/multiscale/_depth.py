@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.focus.common import DepthMap, Frame, Spread, doubled, smooth_planes
+from microlib.focus.common import Band, DepthMap, Frame, Spread, bands, doubled, smooth_planes
 from microlib.focus.multiscale._axis import Axis, describe_axis
 from microlib.focus.multiscale._fits import fit_stack
 from microlib.focus.multiscale._maps import fill_nearest, typical
@@ -21,8 +21,8 @@ from microlib.focus.multiscale._rules import RULES, Rule
 from microlib.focus.multiscale._settings import FocusSettings
 
 DEFAULT = FocusSettings()
-#: Rows of the grid of every second pixel that are enlarged at a time.
-_BAND = 64
+#: Rows that are enlarged at a time, and the reach of the interpolation.
+_BAND, _REACH = 128, 4
 
 
 def multiscale_depth(
@@ -88,13 +88,12 @@ def _enlarged(
     depth, error = (np.empty(shape, np.float32) for _ in range(2))
     frame, at_end = np.empty(shape, np.int32), np.empty(shape, bool)
 
-    def enlarge(top: int) -> None:
-        start = max(top - 2, 0)  # two rows are the reach of the interpolation
-        here = slice(2 * top, min(2 * (top + _BAND), shape[0]))
-        own = slice(here.start - 2 * start, here.stop - 2 * start)
+    def enlarge(band: Band) -> None:
+        here, padded, own = band
+        every_second = slice(padded.start // 2, -(-padded.stop // 2))
 
         def full(half: NDArray, how: int = cv2.INTER_LINEAR) -> NDArray:
-            return doubled(half[start : top + _BAND + 2], shape, how)[own]
+            return doubled(half[every_second], shape, how)[own]
 
         depth[here] = axis.micrometers(full(filled) + full(relief, cv2.INTER_CUBIC))
         depth[here][full(unknown.view(np.uint8), cv2.INTER_NEAREST) > 0] = np.nan
@@ -104,5 +103,5 @@ def _enlarged(
         frame[here] = np.where(np.isfinite(depth[here]), nearest, middle[number])
         at_end[here] = (number == 0) | (number == len(axis.coordinates) - 1)
 
-    list(spread(enlarge, range(0, len(filled), _BAND)))
+    list(spread(enlarge, bands(shape[0], _BAND, _REACH)))
     return DepthMap(depth, error, frame, at_end, axis.spacing)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import Frame, Spread, halved
+from microlib.focus.common import Band, Frame, Spread, bands, halved
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._profiles import find_profiles
@@ -82,16 +82,12 @@ def fit_stack(
     shape = frames[0].shape
     rows = 2**24 // max(shape[1] * len(axis.coordinates), 1) - 2 * _MARGIN
     # A multiple of eight, as blocks of eight rows are averaged.
-    tops = range(0, shape[0], int(np.clip(rows // 8 * 8, 64, _MAX_ROWS)))
-
+    height = int(np.clip(rows // 8 * 8, 64, _MAX_ROWS))
     whole: dict[str, NDArray] = {}
 
-    def strip(top: int) -> float:
-        bottom = min(top + tops.step, shape[0])
-        start = max(top - _MARGIN, 0)
-        view = slice(start, min(bottom + _MARGIN, shape[0]))
-        keep = slice(top - start, bottom - start)
-        for name, values in vars(_fit_strip(frames, axis, settings, view, keep)).items():
+    def strip(band: Band) -> float:
+        top, bottom = band.rows.start, band.rows.stop
+        for name, values in vars(_fit_strip(frames, axis, settings, band)).items():
             block = {"profiles": 8, "wide": 4}.get(name, 2)
             rows, cols = (-(-n // block) for n in shape)
             new = np.empty((*values.shape[:-2], rows, cols), values.dtype)
@@ -99,15 +95,14 @@ def fit_stack(
             room[..., : values.shape[-2], :] = values[..., : room.shape[-2], :cols]
         return bottom / shape[0]
 
-    for share in spread(strip, tops):  # in their order
+    for share in spread(strip, bands(shape[0], height, _MARGIN)):  # in their order
         done(share)
     return Fits(**whole)
 
 
-def _fit_strip(
-    frames: Sequence[Frame], axis: Axis, settings: FocusSettings, rows: slice, keep: slice
-) -> Fits:
-    """Measure some rows of the frames, and fit those to keep."""
+def _fit_strip(frames: Sequence[Frame], axis: Axis, settings: FocusSettings, band: Band) -> Fits:
+    """Measure the padded rows of a band, and fit its own."""
+    _, rows, keep = band
     coordinates, shape = axis.coordinates, (rows.stop - rows.start, frames[0].shape[1])
     averaged = axis.averaged_frames(frames, rows)
     product, edge, wide = find_profiles(averaged, len(coordinates), shape, axis.noise, settings)

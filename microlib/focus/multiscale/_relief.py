@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib.focus.common import Spread, blur, ratio
+from microlib.focus.common import Band, Spread, bands, blur, ratio
 from microlib.focus.multiscale._axis import Axis
 from microlib.focus.multiscale._fit import fit_peaks
 from microlib.focus.multiscale._fits import Fits
@@ -94,14 +94,12 @@ def find_relief(
     """
     relief, half_difference = np.empty((2, *weight.shape), np.float32)
 
-    def band(top: int) -> None:
-        start, here = max(top - _REACH, 0), slice(top, top + _BAND)
-        rows = slice(start, top + _BAND + _REACH)
-        found = _relief_of(along[rows], down[rows], weight[rows], settings)
+    def find(band: Band) -> None:
+        found = _relief_of(*(part[band.padded] for part in (along, down, weight)), settings)
         for whole, part in zip((relief, half_difference), found, strict=True):
-            whole[here] = part[top - start :][: len(whole[here])]
+            whole[band.rows] = part[band.own]
 
-    list(spread(band, range(0, len(weight), _BAND)))
+    list(spread(find, bands(len(weight), _BAND, _REACH)))
     return relief, half_difference
 
 
