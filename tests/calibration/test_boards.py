@@ -82,11 +82,13 @@ def over_sigma(found, truth: np.ndarray) -> float:
         ("square", 0.5, 3.0, 2, 0.033),
     ],
 )
-def test_points_are_accurate_for_any_marks_blur_and_noise(kind, size, blur, noise, most):
+def test_points_are_accurate_over_sizes_blurs_and_noise(kind, size, blur, noise, most):
     image, truth = board(SQUARE, kind, size, blur=blur, noise=noise)
     found = DETECT[kind](image)
     assert len(found.points) == len(truth)
     assert rms(errors(found, truth)) < most
+    np.testing.assert_array_equal(found.group, np.repeat(np.arange(35), len(truth) // 35))
+    assert found.grid.min(axis=0).tolist() == [0, 0]
     steps = np.linalg.lstsq(found.positions - found.positions.mean(axis=0), found.points)[0]
     assert np.linalg.det(steps) > 0  # y is clockwise from x
     # 35 independent centers give the ratio to ±8 %, corners of shared lines less. Edges are drawn
@@ -112,7 +114,7 @@ def test_points_are_accurate_for_any_marks_blur_and_noise(kind, size, blur, nois
     ids=["bright", "faint", "barrel", "cushion", "camera", "bright, coins", "brick"],
 )
 @pytest.mark.parametrize(("kind", "size"), [("circle", 0.25), ("square", 0.5)])
-def test_all_marks_are_detected_in_clutter_and_in_both_polarities(kind, size, change):
+def test_most_marks_are_detected_in_clutter_and_in_both_polarities(kind, size, change):
     image, truth = board(SQUARE, kind, size, **change)
     found = DETECT[kind](image)
     assert len(found.points) >= 0.97 * len(truth)
@@ -223,7 +225,7 @@ def test_asymmetric_grid_is_a_square_lattice():
 
 
 @pytest.mark.parametrize("turn", [0.3, np.pi / 4, 0.86])
-def test_all_circles_of_a_turned_grid_are_detected_from_any_first_circle(turn, monkeypatch):
+def test_all_circles_of_a_turned_grid_are_detected_from_three_first_circles(turn, monkeypatch):
     """A circle at the edge of the image lacks a neighbor. A lattice that was grown from such a
     circle had a diagonal as a step, and was rejected or lost a tenth of its circles."""
     every = np.argwhere(np.ones((19, 19))).astype(float)
@@ -404,6 +406,14 @@ def test_uncertainty_of_marks_is_that_of_their_residuals_if_larger():
     # residuals lowers it by 8 %.
     assert over_sigma(found, truth) == pytest.approx(1.0, abs=0.2)
     assert detect_circles(board(SQUARE)[0]).normalized_rms < 1.5
+
+
+def test_corners_in_the_noisier_half_of_an_image_are_stated_as_less_certain():
+    image, _ = board(SQUARE, "square", 0.5, noise=1.0)
+    rough = np.random.default_rng(2).normal(0, 2, image.shape) * (np.arange(320) > 160)
+    found = detect_squares(image + rough)
+    left, right = found.points[:, 0] < 150, found.points[:, 0] > 170
+    assert found.uncertainty[left].max() < found.uncertainty[right].min()
 
 
 @pytest.mark.parametrize("kind", DETECT)

@@ -254,10 +254,7 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
     world = 200.0 * np.round((grid - grid.mean(axis=0)) @ [[0, 1], [-1, 0]])
     groups = np.arange(48) // 4
     image = noisy(scope.project(world), 2) + noisy(np.zeros((12, 2)), 3)[groups]
-    corners = 2 * (grid // 4) + grid % 4  # as detect_squares counts them, two along each side
-    whole = detection_of(
-        world / 400, image, groups=groups, grid=corners, image_size=SENSOR["image_size"]
-    )
+    whole = detection_of(world / 400, image, groups=groups, image_size=SENSOR["image_size"])
 
     def left_out(*which):
         kept = ~np.isin(groups, which)
@@ -420,6 +417,7 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
         shares = [c.um_per_pixel.uncertainty / c.um_per_pixel.value for c in found]
         scale[name] = np.median(shares)
     assert adequate["lacking"] <= 0.1
+    assert f"is {found[0].widening:.2g} times as wide" in repr(found[0])
     assert widening["exact"] == 1
     noise_alone = scale["lacking"] / widening["lacking"]
     # The noise is estimated from residuals that contain the discrepancy.
@@ -592,15 +590,17 @@ def test_inconsistent_views_are_named_up_to_half_of_them(fault, count, wrong):
     rng = np.random.default_rng(0)
     for view in wrong:
         world[view], image[view] = fault(world[view], image[view], rng)
+    numbers = ", ".join(str(view + 1) for view in wrong)
     if fault is exchanged:
-        numbers = ", ".join(str(view + 1) for view in wrong)
         with pytest.raises(ValueError, match=f"leave out view {numbers}, counted") as refusal:
             calibrate(world, image, **CAMERA)
         assert list(refusal.value.views) == wrong
         return
     found = calibrate(world, image, **CAMERA)
     assert list(found.inconsistent) == wrong
-    assert "inconsistent, to be left out: view" in repr(found)
+    assert f"inconsistent, to be left out: view {numbers}, counted from 1" in repr(found)
+    median, most = np.nanmedian(found.held_out), np.nanmax(found.held_out)
+    assert f"held-out views: median {median:.3g} px rms, most {most:.3g}" in repr(found)
     assert not found.adequate
     if fault is skipped and count == 3:  # the error of 2/3 of the board's size
         assert found.held_out[2] > 10 > 1 > found.held_out[:2].max()
@@ -646,6 +646,9 @@ def hold_residuals(found, world, image, *, deviation=0.05):
     views = list(zip(found.views, world, image, strict=True))
     left = np.concatenate([seen - view.project(points) for view, points, seen in views])
     np.testing.assert_allclose(found.residuals, left, atol=1e-9)
+    size = np.hypot(*left.T)
+    statistics = size.mean(), size.std(), size.max(), np.sqrt(np.mean(size**2))
+    assert tuple(vars(found.reprojection).values()) == pytest.approx(statistics, rel=1e-6)
     left = np.concatenate([view.back_project(seen) - points for view, points, seen in views])
     np.testing.assert_allclose(found.plane_residuals, left, atol=1e-6)
     assert found.microscope == found.views[0]
@@ -695,7 +698,7 @@ def test_principal_distance_and_scale_need_no_pixel_pitch():
         assert one.pop("unit") == other.pop("unit")
         np.testing.assert_allclose(list(one.values()), list(other.values()), rtol=1e-4)
     # With a given focal length the principal distance follows from the magnification.
-    given = calibrate(
-        world, scope.project(world), image_size=scope.image_size, pixel_pitch=9.9, focal_length=F
-    )
+    camera = {"image_size": scope.image_size, "pixel_pitch": (9.9, 11.0)}
+    image = replace(scope, **camera).project(world)
+    given = calibrate(world, image, **camera, focal_length=F)
     assert given.principal_distance.value == pytest.approx(F * (1 + M) / 9.9, rel=1e-9)

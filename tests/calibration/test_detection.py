@@ -42,6 +42,9 @@ def test_bias_of_marks_by_perspective_and_distortion_is_removed(kind, scope, pit
     assert len(found.points) >= 16
     assert cKDTree(truth).query(found.points, p=np.inf)[0].max() < most
     table = found.to_frame()
+    lone = np.column_stack([found.uncertainty, found.group])
+    np.testing.assert_array_equal(table[["uncertainty", "group"]], lone)
+    assert "in {}×{} px".format(*scope.image_size) in repr(found)
     for pair in ("grid", "positions", "points"):
         columns = [f"{pair}_{name}" for name in ("ij" if pair == "grid" else "xy")]
         np.testing.assert_array_equal(table[columns], getattr(found, pair))

@@ -100,8 +100,14 @@ def test_interval_contains_errors_of_the_ruling(kind, fewest):
         if kind == "periodic":  # as those of a photographed micrometer
             errors = 0.04 * ((np.arange(28) + seed) % 10 / 10 - 0.45)
         places = 10 * (np.arange(28) - 13.5 + errors)
-        found = detect_micrometer(ruled(places, 60.0, 2.5, seed=seed)).spacing
-        inside += found.low <= 10 <= found.high
+        found = detect_micrometer(ruled(places, 60.0, 2.5, seed=seed, angle=0.2))
+        inside += found.spacing.low <= 10 <= found.spacing.high
+        sense = 1 if np.cos(found.angle - 0.2) > 0 else -1
+        seen = sense * places[::sense]
+        line = np.polyfit(found.divisions, seen, 1)
+        np.testing.assert_allclose(
+            found.residuals, seen - np.polyval(line, found.divisions), atol=0.05
+        )
     assert inside >= fewest
 
 

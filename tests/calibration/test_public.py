@@ -97,7 +97,7 @@ def test_calibration_follows_unit_of_length(um):
     hold_scaled(found, plain, np.array([1, 1, 1, um, um]))
 
 
-@pytest.mark.parametrize("grey", [1 / 255, 257.0])
+@pytest.mark.parametrize("grey", [1 / 255, 257.0, (0.0, 0.9, 0.3)])
 @pytest.mark.parametrize(
     "detect",
     [
@@ -107,9 +107,9 @@ def test_calibration_follows_unit_of_length(um):
         detect_micrometer,
     ],
 )
-def test_marks_are_the_same_in_other_grey_levels(detect, grey):
+def test_marks_are_the_same_in_other_grey_levels_and_in_color(detect, grey):
     given = CALLS[detect]()
-    found = detect(**given | {"image": grey * given["image"]})
+    found = detect(**given | {"image": np.multiply.outer(given["image"], grey)})
     # The middle of a mark is found to some 1e-6 px from grey levels in single precision.
     hold_scaled(found, detect(**given), within=1e-5)
 

@@ -41,7 +41,7 @@ def test_windows_match_least_squares_parabola(size):
 
 def test_separable_windows_match_two_dimensional_convolutions():
     """S and D are applied one after the other, as (3.20) and (3.21) say, on pixels of `SIDES`."""
-    w = curvature.curvature_windows(7)
+    w = curvature.curvature_windows()
     z = 5 * np.random.default_rng(0).random((31, 29))
     smooth = ndimage.convolve(z, np.outer(w.smooth, w.smooth))
     x_side, y_side = SIDES
@@ -129,14 +129,14 @@ def test_regions_are_connected_along_rows_and_columns():
     labels = np.full((12, 14), 5, np.uint8)
     labels[:, 9:], labels[0, 0] = 2, 0
     labels[1, 1] = labels[2, 2] = labels[4, 12] = 3
-    labels[4, 3:5] = 8
+    labels[4:7, 2:5] = 8
     cleaned = labels.copy()
     cleaned[1, 1] = cleaned[2, 2] = 5  # the label of the nearest region
     cleaned[4, 12] = 2
-    for smallest, wanted in ((1, labels), (2, cleaned), (1000, labels)):
+    for smallest, wanted in ((1, labels), (9, cleaned), (1000, labels)):
         np.testing.assert_array_equal(curvature.clean_labels(labels, smallest), wanted)
-    cleaned[4, 3:5] = 5
-    np.testing.assert_array_equal(curvature.clean_labels(labels, 3), cleaned)
+    cleaned[4:7, 2:5] = 5
+    np.testing.assert_array_equal(curvature.clean_labels(labels, 10), cleaned)
     flat = surface_curvature(np.zeros((13, 14)), 1.0)
     rows = np.zeros((13, 14), np.uint8)
     rows[2:4, 5:9], rows[7, 1], rows[8, 2] = 2, 9, 9
@@ -191,7 +191,10 @@ def test_default_thresholds_are_three_and_a_half_uncertainties():
     found = surface_curvature(rough, SIDES, noise=0.05)
     given = {"h_zero": 3.5 * found.mean_uncertainty, "k_zero": 3.5 * found.gaussian_uncertainty}
     assert {1, 2, 5} <= set(np.unique(hk_labels(found)))
-    np.testing.assert_array_equal(hk_labels(found), hk_labels(found, **given))
+    for change in ({}, {"h_zero": 1.0}, {"k_zero": 1.0}):
+        np.testing.assert_array_equal(
+            hk_labels(found, **change), hk_labels(found, **given | change)
+        )
 
 
 def test_nan_spreads_over_windows_only():
@@ -239,6 +242,8 @@ def test_uncertainties_match_scatter_on_non_square_pixels(size):
 def test_heights_in_another_unit_than_pixels_warn():
     ball = SURFACES["sphere"][0]
     surface_curvature(ball, 1.0)  # a warning here would be an error (pyproject)
-    for height, pixel_size in ((ball, 0.001), (1e3 * ball, 1.0)):
+    for along in (X, Y):
+        surface_curvature(3.9 * along, 1.0)  # 76° is a slope of 4
+    for height, pixel_size in ((ball, 0.001), (4.1 * X, 1.0), (4.1 * Y, 1.0)):
         with pytest.warns(UserWarning, match="it must have the unit of pixel_size"):
             surface_curvature(height, pixel_size)

@@ -210,8 +210,9 @@ def test_repeated_picture_has_no_certain_depth(measure, count):
 
 def test_depth_is_right_beyond_256_frames():
     stack = stack_of(np.full((24, 28), 280.0), np.arange(300.0), rate=0.05, noise=0.0)
-    found = depth_from_focus(stack, spacing=1, measure="sml")
+    found = depth_from_focus(stack, spacing="frame", measure="sml")
     assert np.nanmedian(np.abs(found.depth - 280)) < 1
+    assert found.unit == "frames"
 
 
 @pytest.mark.parametrize(

@@ -101,9 +101,14 @@ def test_depth_follows_units_of_grey_levels_and_positions(measure, grey, um, z0)
     by = {"depth": lambda z: um * (z + z0), "uncertainty": um, "all_in_focus": grey}
     # float32 grey levels, at a curvature of the peak of 0.1.
     hold_scaled(found, plain, within=1e-4, **by)
-    row = dict.fromkeys(("depth_least", "depth_median", "depth_largest"), by["depth"])
-    row |= dict.fromkeys(("uncertainty_median", "uncertainty_largest"), um)
-    hold_scaled(found.to_dict(), plain.to_dict(), within=1e-4, **row)
+    known = np.isfinite(found.depth)
+    depth, error = found.depth[known], found.uncertainty[known]
+    assert found.to_dict() == pytest.approx({
+        "rows": 44, "columns": 60, "known": known.mean(), "depth_least": depth.min(),
+        "depth_median": np.median(depth), "depth_largest": depth.max(),
+        "uncertainty_median": np.median(error), "uncertainty_largest": error.max(),
+        "unit": "µm", "at_end": found.at_end.mean(), "registered": False,
+    })  # fmt: skip
 
 
 @pytest.mark.parametrize(("um", "z0"), [(1.7, 0.0), (1.0, -172.0)])
@@ -133,7 +138,7 @@ def test_depth_follows_flips_and_rotations(view):
 
 
 @pytest.mark.parametrize(("count", "least"), [(8, 0.4), (11, 0.7), (41, 0.7)])
-def test_depth_uncertainty_matches_error_for_any_number_of_frames(count, least):
+def test_depth_uncertainty_matches_error_for_few_and_many_frames(count, least):
     """Within the limits of benchmarks/focus_depth.py, a half more for few draws.
 
     Of 8 frames peaks are narrow: half of their peak locking is stated, twice what this texture has.
@@ -173,7 +178,7 @@ def test_frames_can_be_used_again_after_interruption():
 
 
 @pytest.mark.parametrize(("levels", "kind"), [(1, "u1"), (200, "u2"), (1 / 255, "f4")])
-def test_untextured_ground_has_no_depth_in_any_unit(levels, kind):
+def test_untextured_ground_has_no_depth_in_three_types_of_grey_levels(levels, kind):
     """Not from noise, and not from the rounding to whole grey levels where that is all there is."""
     texture = synthetic.mixed_texture((96, 160), np.random.default_rng(2))
     gradient = np.linspace(90, 110, 100)  # which rounds to terraces

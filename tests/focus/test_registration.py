@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from microlib import synthetic
 from microlib.focus import FocusResult, depth_from_focus
+from microlib.focus._registration import Registration, motion_between
 from microlib.io import read_frames
 from tests.scenes import camera_frame
 from tests.scenes.focus import defocused, disc_blur, inner, rms
@@ -305,6 +306,24 @@ def test_frame_left_out_of_a_moving_stack_adds_no_depth_at_the_border() -> None:
     np.testing.assert_array_equal(np.isnan(found.depth), np.isnan(rest.depth))
     np.testing.assert_array_equal(np.searchsorted(others, found.index), rest.index.clip(0))
     assert np.isnan(found.depth).sum() > 500
+
+
+def test_motion_between_frames_has_their_shift_growth_and_turn() -> None:
+    """Of frames that are compared at half their size."""
+    rows, cols = 490, 720
+    texture = np.float32(synthetic.mixed_texture((rows, cols), 2))
+    pose = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), -0.4, 1.006)
+    pose[:, 2] += [4, -3]
+    found = motion_between(texture, cv2.warpAffine(texture, pose, (cols, rows), borderMode=4))
+    away = abs(1.006 * np.exp(1j * np.deg2rad(0.4)) - 1) * np.hypot(rows, cols) / 4
+    assert found == pytest.approx((np.hypot(5, away) / 2, 5, 0.006, 0.4), rel=0.02)
+
+
+def test_pixel_is_outside_if_a_frame_within_a_tenth_of_the_stack_does_not_show_it() -> None:
+    warps = np.array([[[1, 0, k], [0, 1, 0]] for k in range(60)], float)
+    found = Registration(np.arange(60), warps, np.ones(60), np.zeros(60))
+    shown = np.arange(70) + 36 < 70  # six frames behind frame 30
+    np.testing.assert_array_equal(found.outside(np.full((8, 70), 30)), np.tile(~shown, (8, 1)))
 
 
 def test_stacks_without_a_common_scene_are_rejected() -> None:

@@ -55,7 +55,7 @@ def test_stl_has_the_triangles_of_the_ply_and_their_normals(tmp_path, plane):
 @pytest.mark.parametrize("shape", [(2, 3), (2, 5, 3)], ids=["grey", "color"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.int64, np.float64, bool])
 def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dtype, shape):
-    path = tmp_path / "m.ome.tif"
+    path = tmp_path / ("m.ome.tif" if len(shape) == 2 else "M.OME.TIFF")
     values = np.random.default_rng(0).integers(0, 2, shape).astype(dtype)
     if dtype is np.float64:
         values[0, 1] = np.nan
@@ -65,6 +65,9 @@ def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dt
         written = tiff.asarray()
         image = tifffile.xml2dict(tiff.ome_metadata)["OME"]["Image"]
         page = tiff.pages[0].aspage()
+    io.write_height_tiff(tmp_path / "m.tif", values, pixel_size=0.65, what="heights")
+    with tifffile.TiffFile(tmp_path / "m.tif") as tiff:
+        assert tiff.pages[0].aspage().description == "heights; pixel size 0.65 um"
     # px per cm: older versions of tifffile keep six digits.
     assert page.get_resolution() == pytest.approx([1e4 / 0.65] * 2, rel=1e-6)
     assert page.resolutionunit == tifffile.RESUNIT.CENTIMETER

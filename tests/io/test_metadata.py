@@ -34,11 +34,12 @@ def edit_ome(path: Path, pattern: str, new: str | Callable[[re.Match], str]) -> 
     ("unit", "micrometers"), [("nm", 1e-3), ("µm", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)]
 )
 def test_ome_sizes_are_converted_to_micrometers(tmp_path, unit, micrometers):
-    sizes = {f"PhysicalSize{axis}": 2.0 for axis in "XYZ"}
-    units = {f"PhysicalSize{axis}Unit": unit for axis in "XYZ"}
+    """Each axis has its own unit: that of y is always µm."""
+    sizes = {"PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0 * micrometers, "PhysicalSizeZ": 3.0}
+    units = {"PhysicalSizeXUnit": unit, "PhysicalSizeYUnit": "µm", "PhysicalSizeZUnit": unit}
     reader = read_frames(write_ome(tmp_path, **sizes, **units))
     assert reader.pixel_size == pytest.approx(2 * micrometers)
-    np.testing.assert_allclose(reader.positions, [0, 2 * micrometers, 4 * micrometers])
+    np.testing.assert_allclose(reader.positions, [0, 3 * micrometers, 6 * micrometers])
 
 
 OWN_UNITS = {"unit": "nm", "yunit": "um"}
@@ -49,7 +50,8 @@ OWN_UNITS = {"unit": "nm", "yunit": "um"}
     [
         *(({"unit": unit}, um, 10 * um) for unit, um in (
             ("nm", 1e-3), ("um", 1), ("\\u00b5m", 1), ("micron", 1), ("microns", 1),
-            ("Micrometer", 1), ("mm", 1e3), ("cm", 1e4),
+            ("Micrometer", 1), ("micrometres", 1), ("nanometre", 1e-3), ("meter", 1e6),
+            ("mm", 1e3), ("millimetre", 1e3), ("cm", 1e4), ("centimeter", 1e4),
         )),
         *(({"unit": unit}, None, None) for unit in ("pixel", "PIXELS", "furlong", "", "inch")),
         # The sign of a spacing is ignored; zero or text gives no positions.
@@ -161,15 +163,16 @@ def test_positions_are_those_of_the_axis_that_is_named(tmp_path, axis):
         ({"Plane": {"DeltaT": [7.0, 7.5, 9.0], "DeltaTUnit": ["ms"] * 3}}, [0, 5e-4, 2e-3]),
         # Times that do not rise are no times of frames.
         ({"Plane": {"DeltaT": [7.0, 7.0, 7.0]}, "TimeIncrement": 0.25}, [0, 0.25, 0.5]),
-        ({"TimeIncrement": 4.0, "TimeIncrementUnit": "min"}, [0, 240, 480]),
+        *(({"TimeIncrement": 4.0, "TimeIncrementUnit": unit}, [0, 4 * s, 8 * s])
+          for unit, s in (("µs", 1e-6), ("min", 60), ("h", 3600))),
         ({"TimeIncrement": 4.0, "TimeIncrementUnit": "fortnight"}, [None] * 3),
         ({"TimeIncrement": 0.0}, [None] * 3),
     ],
-)
+)  # fmt: skip
 def test_times_of_a_film_are_those_of_its_ome_metadata(tmp_path, about, times):
     film = read_frames(write_ome(tmp_path, **about | {"axes": "TYX", "PhysicalSizeZ": 3.0}))
     assert (film.axis, film.positions) == ("T", None)
-    assert [film.time(k) for k in range(3)] == pytest.approx(times)
+    assert [film.time(k) for k in range(3)] == pytest.approx(times, abs=1e-9)
 
 
 def test_times_of_an_imagej_film_are_even(tmp_path):
@@ -186,9 +189,10 @@ def test_positions_follow_the_numbers_of_the_planes(tmp_path):
     np.testing.assert_allclose(read_frames(path).positions, [100, 200, 400])
 
 
+@pytest.mark.parametrize("axis", ["X", "Y"])
 @pytest.mark.parametrize("wrong", ["two", "nan", "-1.0", "0.0"])
-def test_size_that_is_no_length_is_ignored(tmp_path, wrong):
+def test_size_that_is_no_length_is_ignored(tmp_path, axis, wrong):
     path = write_ome(tmp_path, **{f"PhysicalSize{axis}": 3.25 for axis in "XY"})
-    edit_ome(path, '"3.25"', f'"{wrong}"')
+    edit_ome(path, f'{axis}="3.25"', f'{axis}="{wrong}"')
     reader = read_frames(path)
     assert (reader.pixel_size, reader.positions) == (None, None)
