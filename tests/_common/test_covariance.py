@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microlib._common import TUKEY_LIMIT, inverse_normal, robust_std, tukey_weights
+from microlib._common import (
+    TUKEY_LIMIT,
+    NormalEquations,
+    gauss_newton,
+    inverse_normal,
+    robust_std,
+    tukey_weights,
+)
 
 rng = np.random.default_rng(0)
 
@@ -50,3 +57,16 @@ def test_biweight_is_95_percent_efficient_and_median_gives_std_for_normal_errors
     psi = errors * tukey_weights(errors, TUKEY_LIMIT)
     # The variance of the mean over that of an M-estimate.
     assert slope.mean() ** 2 / np.mean(psi**2) == pytest.approx(0.95, abs=1e-3)
+
+
+def test_gauss_newton_damps_steps_that_increase_the_cost():
+    """The zero of arctan x, from which plain steps from x = 3 lead away."""
+
+    def linearize(x, numbers):
+        slope, residual = 1 / (1 + x**2), -np.arctan(x)
+        return NormalEquations((slope**2)[:, :, None], slope * residual, residual[:, 0] ** 2)
+
+    starts = np.array([[3.0], [np.nan], [-0.5]])
+    found, _, converged = gauss_newton(linearize, starts, max_iterations=40, cost_tolerance=1e-9)
+    np.testing.assert_allclose(found[[0, 2]], 0.0, atol=1e-6)
+    assert converged.tolist() == [True, False, True]
