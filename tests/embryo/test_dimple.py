@@ -74,11 +74,13 @@ def test_fit_dimple_recovers_dimple_of_exact_outline(depth, rim, tilt):
     assert dimple.center == pytest.approx(CENTER, abs=0.05)
     assert dimple.rim_curvatures == pytest.approx((1 / rim, 1 / rim), rel=0.1)
     beyond = np.maximum(boundary.x - CENTER[0] - embryo.rim_radius / PIXEL, 0)
-    steeper = fit(replace(boundary, y=boundary.y - 0.002 * beyond**2))
+    bent = replace(boundary, y=boundary.y - 0.002 * beyond**2)
+    steeper = fit(bent)
     assert steeper.rim_curvatures[1] > 1.2 * steeper.rim_curvatures[0]
     near = np.abs(boundary.x - CENTER[0]) < 1.2 * embryo.rim_radius / PIXEL
-    height = np.interp(boundary.x[near], *dimple.curve)
-    np.testing.assert_allclose(height, boundary.y[near], atol=0.1)
+    for fitted, drawn in ((dimple, boundary), (steeper, bent)):
+        height = np.interp(drawn.x[near], *fitted.curve)
+        np.testing.assert_allclose(height, drawn.y[near], atol=0.1)
 
 
 @pytest.mark.parametrize("shared", [1, 4])

@@ -203,6 +203,9 @@ TABLES = {
     "units": POINTS.rename(columns={"x": "x (px)", "y": "y (px)"}).to_csv(index=False),
     "µm": POINTS.rename(columns={"x": "x_um", "y": "Y [µm]"}).to_csv(index=False),
     "rows": POINTS.rename(columns={"x": "col", "y": "row"}).to_csv(index=False),
+    "rows and columns": POINTS.rename(columns={"x": "Column", "y": "Row"})[
+        ["Row", "Column"]
+    ].to_csv(),
     "other columns": POINTS.assign(id=7, z=1.5)[["id", "y", "z", "x"]].to_csv(index=False),
 }
 
@@ -215,7 +218,7 @@ def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
         found = read_outline(file)
         np.testing.assert_array_equal([found.x, found.y], [X, Y])
         assert found.pixel_size == (1.0 if name == "µm" else None)
-        assert found.y_down == (name == "rows")
+        assert found.y_down == name.startswith("rows")
 
 
 @pytest.mark.parametrize(
