@@ -20,6 +20,9 @@ def test_valid_values_are_returned():
     assert check.as_image_shape("x", [6, np.int64(4)]) == (6, 4)
     for value in (2, 2.0, np.float32(2), np.uint8(2), np.array(2.0)):
         assert type(check.as_scalar("x", value, above=0, least=2, most=2)) is float
+    # Of electron microscopes, macro lenses, small and large sensors.
+    for name, ends in {"pixel_size": [0.03, 500.0], "pixel_pitch": [0.7, 75.0]}.items():
+        assert [check.as_physical(name, value) for value in ends] == ends
 
 
 @pytest.mark.parametrize(

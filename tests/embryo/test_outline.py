@@ -203,9 +203,7 @@ TABLES = {
     "units": POINTS.rename(columns={"x": "x (px)", "y": "y (px)"}).to_csv(index=False),
     "µm": POINTS.rename(columns={"x": "x_um", "y": "Y [µm]"}).to_csv(index=False),
     "rows": POINTS.rename(columns={"x": "col", "y": "row"}).to_csv(index=False),
-    "rows and columns": POINTS.rename(columns={"x": "Column", "y": "Row"})[
-        ["Row", "Column"]
-    ].to_csv(),
+    "rows and columns": POINTS.iloc[:, ::-1].set_axis(["Row", "Column"], axis=1).to_csv(),
     "other columns": POINTS.assign(id=7, z=1.5)[["id", "y", "z", "x"]].to_csv(index=False),
 }
 
