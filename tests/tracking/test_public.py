@@ -8,11 +8,12 @@ import pytest
 from scipy import ndimage
 
 from microlib.synthetic import mixed_texture
-from microlib.tracking import ESMTracker, KalmanFilter, track_all, track_each
+from microlib.tracking import ESMTracker, KalmanFilter, Track, track_all, track_each
 from tests.checks import (
     BROKEN,
     NO_TEXT,
     NOT_POSITIVE,
+    Wrong,
     each_view,
     hold_call,
     hold_refused,
@@ -84,6 +85,12 @@ FILM = {
 }  # fmt: skip
 #: What is refused in place of each argument.
 REFUSED = {
+    ESMTracker: {
+        "mask": [
+            *(np.ones((20, 30)), np.full(SCENE.shape, np.nan)),
+            Wrong(0 * SCENE, "mask must hold at least 36 px of the box, got 0"),
+        ]
+    },
     ESMTracker.track: {"frame": lambda valid: [*no_array(valid), np.zeros((20, 30))]},
     track_all: FILM, track_each: FILM,
 }  # fmt: skip
@@ -213,3 +220,14 @@ def test_kalman_filter_set_on_a_tracker_predicts_the_next_frame():
     track = tracker.track(other)
     np.testing.assert_allclose(tracker.kalman.position, track.center, atol=0.1)
     np.testing.assert_allclose(track.center - center, BY, atol=0.05)
+
+
+def test_row_of_a_track_names_each_number():
+    corners = np.array([[1.0, 2], [30, 4], [31, 25], [3, 26]])
+    numbers = {"corners": corners, "homography": np.arange(9.0).reshape(3, 3)}
+    row = Track(**FOUND | numbers | {"hidden": np.arange(12).reshape(3, 4) < 3}).to_dict()
+    assert row.items() >= {
+        "corners_top_left_y": 2.0, "corners_top_right_x": 30.0, "corners_bottom_right_x": 31.0,
+        "corners_bottom_left_y": 26.0, "center_x": 16.25, "center_y": 14.25, "hidden": 0.25,
+        "homography_x_y": 1.0, "homography_y_shift": 5.0, "homography_scale_x": 6.0,
+    }.items()  # fmt: skip
