@@ -8,8 +8,10 @@ from playwright.sync_api import Page
 CONTRAST = "color-contrast"
 
 
-def open_page(page: Page, path: Path) -> None:
+def open_page(page: Page, path: Path, *screen: int) -> None:
     """Open a page and wait until its formulas are drawn; fail on whatever is missing in it."""
+    if screen:
+        page.set_viewport_size(dict(zip(("width", "height"), screen, strict=True)))
     page.goto(path.as_uri())
     page.evaluate("window.MathJax?.startup?.promise")
     assert page.faults == [], f"{path.name}: {page.faults}"  # type: ignore[attr-defined]

@@ -17,8 +17,7 @@ def test_ro_crate_describes_existing_files(html: Path) -> None:
 
 def test_certificate_has_hash_of_published_verdicts(html: Path) -> None:
     rows = json.loads((html / "verdicts.json").read_text(encoding="utf-8"))
-    lines = (f"{row['claim']}\t{row['verdict']}\t{row['recomputed'] != ''}\n" for row in rows)
-    text = "".join(lines)
+    text = "".join(f"{r['claim']}\t{r['verdict']}\t{r['recomputed'] != ''}\n" for r in rows)
     made = json.loads((html / "certificate.json").read_text(encoding="utf-8"))
     assert hashlib.sha256(text.encode()).hexdigest() == made["sha256"]["verdicts"]
     assert sum(made["verdicts"].values()) == len(rows)

@@ -167,15 +167,12 @@ def test_interactive_surface_has_heights_and_colors_of_map(
         found = ends[0] + np.ptp(ends) * (codes[codes > 0] - 1.0) / 65534
         np.testing.assert_allclose(found, part[codes > 0], atol=0.01)
         kinds = np.frombuffer(b64decode(kept["kinds"]), np.uint8).reshape(part.shape)
-        spoken = {"plain": "vertical scale arbitrary", "types": "vertical scale as horizontal"}
-        assert kept["note"] == spoken[name]
-        if name == "types":
-            np.testing.assert_array_equal(kinds, types)
-            shown = {f"{k} {HK_NAMES[k]}": surfaces.HK_COLORS[k] for k in np.unique(types)}
-            assert kept["key"] == shown
-        else:
-            share = (found - ends[0]) / np.ptp(ends)
-            np.testing.assert_allclose(kinds[codes > 0], 255 * share, atol=0.6)
+        scale = {"plain": "vertical scale arbitrary", "types": "vertical scale as horizontal"}
+        assert kept["note"] == scale[name]
+        share = 255 * (found - ends[0]) / np.ptp(ends)
+        wanted = types[codes > 0] if name == "types" else share
+        np.testing.assert_allclose(kinds[codes > 0], wanted, atol=0.6 * (name == "plain"))
+    assert kept["key"] == {f"{k} {HK_NAMES[k]}": surfaces.HK_COLORS[k] for k in np.unique(types)}
 
 
 def test_button_stops_and_starts_film(page: Page, html: Path) -> None:

@@ -19,8 +19,7 @@ def modulus(text: str) -> float:
 
 def test_first_screen_shows_verdicts_ways_on_and_finding(page: Page, html: Path) -> None:
     for width in (1280, 390):
-        page.set_viewport_size({"width": width, "height": 800})
-        open_page(page, html / "intro.html")
+        open_page(page, html / "intro.html", width, 800)
         for part in (".bar a", ".front-buttons > *", ".finding", ".front-figure svg"):
             boxes = [one.bounding_box() for one in page.locator(f"article {part}").all()]
             assert boxes, part
@@ -53,8 +52,7 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
 
 
 def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None:
-    page.set_viewport_size({"width": 360, "height": 780})
-    open_page(page, html / "intro.html")
+    open_page(page, html / "intro.html", 360, 780)
     figure = page.locator(".front-figure")
     axis = figure.locator(".axis text")
     middle = "one => { const b = one.getBoundingClientRect(); return b.x + b.width / 2 }"

@@ -56,8 +56,7 @@ def test_no_sentence_is_repeated_on_another_page(html: Path) -> None:
 
 
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
-    page.set_viewport_size({"width": 360, "height": 780})
-    open_page(page, html / "summary.html")
+    open_page(page, html / "summary.html", 360, 780)
     page.locator("article a[href$='#number-5-6-e-edge-depth']").first.click()
     page.wait_for_function("window.formulasFit")
     cell = page.locator(".cell:has(#number-5-6-e-edge-depth)")

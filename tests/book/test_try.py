@@ -219,8 +219,7 @@ def test_tools_are_accessible_in_every_state(
     page: Page, html: Path, width: int, theme: str
 ) -> None:
     page.add_init_script(f"localStorage.mode = '{theme}'; localStorage.theme = '{theme}'")
-    page.set_viewport_size({"width": width, "height": 844})
-    open_page(page, html / "try.html")
+    open_page(page, html / "try.html", width, 844)
     page.locator("[data-try=modulus] summary").click()
     # 24 px is what WCAG 2.2 asks for at the least, 44 px what it recommends for a finger.
     controls = page.locator(".try :is(input, select, button, summary):visible")
