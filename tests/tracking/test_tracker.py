@@ -198,6 +198,18 @@ def test_track_all_returns_a_table_with_empty_rows_for_lost_frames():
     np.testing.assert_allclose(np.delete(found, 4, 0), np.delete(truth, 4, 0), atol=0.05)
 
 
+def test_film_is_tracked_with_its_mask_and_its_times_unless_a_rate_is_given():
+    frames, box = film()[0][:4], (60, 60, 49, 49)
+    mask = np.indices(frames[0].shape)[1] < 90
+    tracker = ESMTracker(frames[0], box, "translation", mask=mask)
+    wanted = [tracker.track(frame).covariance[0, 0] for frame in frames]
+    timed = type("Film", (list,), {"time": lambda film, k: 0.1 * k**2})(frames)
+    for rate, times in ((None, [0.0, 0.1, 0.4, 0.9]), (4.0, [0.0, 0.25, 0.5, 0.75])):
+        table = track_all(timed, box, "translation", rate=rate, mask=mask)
+        np.testing.assert_allclose(table["time_s"], times)
+        np.testing.assert_allclose(table["covariance_x_x"], wanted, rtol=1e-6)
+
+
 def test_track_all_keeps_rows_before_an_unreadable_frame():
     def broken():
         yield from film()[0][:3]
