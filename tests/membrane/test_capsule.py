@@ -254,3 +254,24 @@ def test_dimple_of_two_capsules_is_rejected(
 def test_impossible_force_raises(force: float, law: str, inflation: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         indent_capsule(force, law=law, inflation=inflation, **CAPSULE)
+
+
+@pytest.mark.parametrize(
+    ("rim", "depth", "message"),
+    [
+        (107.26, 0.1204, r"at w_d/a = 0.0011, c/a = 0.93, a/R = 0.18, where .* press deeper"),
+        (150.0, 100.0, "w_d/a = 0.67, c/a = 0.67, a/R = 0.25, a dimple that probably no capsule"),
+    ],
+)
+def test_error_of_an_unsolved_dimple_names_its_ratios_and_what_to_do(rim, depth, message) -> None:
+    """The first is that of a capsule, inflated by 1.03."""
+    with pytest.raises(ValueError, match=message):
+        capsule_modulus(20.0, rim, depth, **SHELL | {"probe_half_width": 100.0})
+
+
+def test_error_of_a_small_force_on_an_uninflated_capsule_advises_an_inflation() -> None:
+    wall = CAPSULE | {"modulus": 1.0, "thickness": 3.0, "probe_half_width": 100.0}
+    with pytest.raises(
+        ValueError, match=r"F/\(E h R\) = 0.0011; without an inflation, such as 1.001"
+    ):
+        indent_capsule(2.0, **wall | {"capsule_radius": 600.0})

@@ -100,3 +100,10 @@ def test_disc_modulus_is_found_for_narrow_probe(narrow: float, steepness: float)
         shape = (1 - narrow ** (2 / 3)) ** 3 * A**2 / (thin * (steepness * A) ** 3)
         # Slopes at the probe are not small: 0.3 at a thousandth of the radius.
         assert found == pytest.approx(1e-3 * F * shape * 3 / np.pi, rel=0.02)
+
+
+def test_error_of_a_depth_beyond_the_folds_names_it_and_the_pressure() -> None:
+    sizes = {"thickness": 3.0, "probe_half_width": 100.0, "poisson_ratio": 0.5}
+    with pytest.raises(ValueError, match=r"at w_d/a = 4, c/a = 0.4; under pressure .* pressure=0"):
+        disc_modulus(100.0, 250.0, 1000.0, **sizes)
+    assert disc_modulus(100.0, 250.0, 1000.0, pressure=0, **sizes) > 0

@@ -279,7 +279,7 @@ def _exponents(problem: CapsuleProblem, solution: Any) -> dict[str, float]:
     for name, other in changed.items():
         near = other.collocate((solution.x, solution.y, solution.p))
         if near is None:
-            raise ValueError("the solver does not converge")
+            raise problem.failure
         ratio = force / other.unpack(near.p).force
         exponents[name] = float(np.log(ratio) / np.log(growth))
     # E h R/F depends on the ratios of the lengths alone.

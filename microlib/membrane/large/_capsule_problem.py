@@ -100,6 +100,11 @@ class PrescribedForce:
     def residual(self, depth: Any) -> list[Any]:
         return []
 
+    def advice(self, probe: float) -> str:
+        """Return which problem has no solution, and what to change."""
+        small = "; without an inflation, such as 1.001, small forces have no solution"
+        return f"at F/(E h R) = {self.force:.2g}{small * (self.inflation == 1)}"
+
 
 @dataclass(frozen=True)
 class PrescribedDimple:
@@ -122,6 +127,19 @@ class PrescribedDimple:
 
     def residual(self, depth: Any) -> list[Any]:
         return [depth - self.depth]
+
+    def advice(self, probe: float) -> str:
+        """Return which problem has no solution, and what to change."""
+        depth = self.depth / self.rim
+        # All of 40 dimples by `indent_capsule` that were not inverted have a w_d/a below 0.22.
+        reason = (
+            "where the depth hardly determines the modulus: press deeper, or by a narrower probe"
+            if depth < 0.22
+            else "a dimple that probably no capsule has: check these lengths"
+        )
+        return (
+            f"at w_d/a = {depth:.2g}, c/a = {probe / self.rim:.2g}, a/R = {self.rim:.2g}, {reason}"
+        )
 
 
 @dataclass(frozen=True)
@@ -281,7 +299,12 @@ class CapsuleProblem:
             solution = problem.collocate((solution.x, solution.y, solution.p))
             if solution is not None:
                 return problem, solution
-        raise ValueError("the solver does not converge")
+        raise self.failure
+
+    @property
+    def failure(self) -> ValueError:
+        """The error for a problem without a solution."""
+        return ValueError(f"the solver does not converge {self.given.advice(self.probe)}")
 
     def is_compressed(self, solution: Any) -> bool:
         """Return whether the middle of the contact zone is shorter than the undeformed wall."""
