@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import warnings
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -37,6 +38,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     Example: microlib modulus outline.csv --force 150 --pixel-size 3.9 --thickness 3
     --probe-half-width 25 --poisson-ratio 0.5 -o modulus.csv
     """
+    from microlib import membrane
     from microlib._plots import outline
     from microlib.embryo import dimple_from_outline, read_outline
 
@@ -62,8 +64,14 @@ def run(a: argparse.Namespace, session: Session) -> End:
             raise ValueError(f"{a.source} has its dimple where y runs up: leave out --y-down")
         seen = "up" if down else "down"
         session.note(f"{a.source}: read with y pointing {seen}, because only so it has one dimple")
-    left, left_text = _estimate(measured.left, values, uncertainties)
-    right, right_text = _estimate(measured.right, values, uncertainties)
+    sides = measured.left, measured.right
+    shapes = [[side.rim_radius for side in sides], [side.dimple_depth for side in sides]]
+    force, others = values["force"], {n: value for n, value in values.items() if n != "force"}
+    moduli = membrane.elastic_modulus(force, *shapes, **others)  # warns once for both rims
+    (left, left_text), (right, right_text) = (
+        _estimate(side, as_physical("modulus", value), values, uncertainties)
+        for side, value in zip(sides, moduli, strict=True)
+    )
     low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
@@ -93,16 +101,15 @@ def _unit(quantity: str) -> str:
 
 
 def _estimate(
-    dimple: Any, values: dict[str, float], uncertainties: dict[str, float]
+    dimple: Any, value: float, values: dict[str, float], uncertainties: dict[str, float]
 ) -> tuple[dict[str, float], str]:
-    """Return the modulus of a dimple with its inputs, and a summary."""
+    """Return a modulus with its uncertainty, its inputs and other models, and a summary."""
     from microlib import membrane
     from microlib.estimate import Estimate
 
     values = values | {"rim_radius": dimple.rim_radius, "dimple_depth": dimple.dimple_depth}
     radius, depth = np.sqrt(np.diag(dimple.covariance)).tolist()
     uncertainties = uncertainties | {"rim_radius": radius, "dimple_depth": depth}
-    value = as_physical("modulus", membrane.elastic_modulus(**values))
     samples = membrane.modulus_samples(values, uncertainties, size=100_000, rng=1)
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
     uncertainty = membrane.modulus_uncertainty(values, uncertainties)
@@ -114,10 +121,11 @@ def _estimate(
         "modulus_high_MPa": modulus.high,
         "finite_slope_modulus_MPa": np.nan,
     }
-    with suppress(ValueError):  # no uniform stress has a dimple as deep as this
-        row["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
+    with warnings.catch_warnings(action="ignore"):  # elastic_modulus has given the same warnings
+        with suppress(ValueError):  # no uniform stress has a dimple as deep as this
+            row["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
+        moduli = membrane.model_moduli(**values)
     # Errors of the inputs change every model by nearly the same factor.
-    moduli = membrane.model_moduli(**values)
     row["modulus_low_over_models_MPa"] = min(moduli.values()) * low / value
     row["modulus_high_over_models_MPa"] = max(moduli.values()) * high / value
     del moduli["point load"]

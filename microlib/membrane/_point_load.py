@@ -497,10 +497,8 @@ def _warn_if_steep(rim_radius: Array, depth: Array) -> None:
     steepest = float(np.max(depth / rim_radius))
     if steepest > SmallSlopeWarning.limit:
         warnings.warn(
-            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: the small-slope approximation "
-            "makes the modulus 4 % to 11 % too low at w_d/a = 0.1, and the error grows with w_d/a "
-            "(see finite_slope_modulus); the uniform stress has a larger effect, and for small "
-            "slopes at c/a = 0.1 makes it 2.5 times too high (see model_moduli)",
+            f"w_d/a = {steepest:.2f} > {SmallSlopeWarning.limit}: small slopes make the modulus of "
+            "(5.2) too low, by 4 to 11 % at 0.1 and 20 % at 0.2; compare model_moduli",
             SmallSlopeWarning,
             stacklevel=3,
         )
