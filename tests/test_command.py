@@ -359,7 +359,7 @@ MISFIT = {"adequate": False}
     [
         (32, {}, 3, ""),
         (31, {}, 1, "the grid covers less than 5 % of the image"),
-        (32, MISFIT, 1, "Several photographs show more of the lens\n"),
+        (32, MISFIT, 1, "; one photograph does not determine the center of the lens, which is "),
         (32, MISFIT, 2, "and --pitch the same everywhere?\n"),
         (32, MISFIT, 1, "points: residuals are 5 px or 7.5 µm rms, largest in"),
         (32, MISFIT, 2, "0 px; the stated interval of the pixel size is therefore 2.5 times"),
@@ -521,6 +521,18 @@ def test_lost_part_gives_exit_status_4(tmp_path, capsys):
     printed = capsys.readouterr().err
     assert "lost in 7 of 9 frames: try another --motion" in printed
     assert len(pd.read_csv(tmp_path / "track.csv")) == 9
+
+
+def test_each_fact_about_a_steep_dimple_of_a_thick_membrane_is_noted_once(tmp_path, capsys):
+    """Radius and depth of the two rims differ, and each is computed by several models."""
+    line = f"{OUTLINE} --thickness 30 --quiet"
+    assert status(line, tmp_path / "out.csv") == 0
+    notes = capsys.readouterr().err.splitlines()
+    starts = [
+        "note: w_d/a = 0.19 > 0.1: small slopes",
+        "note: dimple_depth is 1.5 times the thickn",
+    ]
+    assert [note[: len(start)] for note, start in zip(notes, starts, strict=True)] == starts
 
 
 def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):

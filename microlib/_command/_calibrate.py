@@ -131,9 +131,13 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
             "--pitch and --pitch-y"
         )
     if not result.adequate:
-        more = " Several photographs show more of the lens" * (len(views) == 1)
         focal = "--focal-length that of the objective, " * focal_given
         suspects = f"is {focal}the pattern flat and sharp, and --pitch the same everywhere?"
+        if len(views) == 1:
+            suspects = (
+                "one photograph does not determine the center of the lens, which is assumed to be "
+                f"in the middle of the image: give several, tilted; otherwise, {suspects}"
+            )
         ends = np.cumsum([len(found.points) for _, found in views.values()])[:-1]
         rms = [np.sqrt((each**2).sum(axis=1).mean()) for each in np.split(result.residuals, ends)]
         worst = [
@@ -144,7 +148,7 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
             f"the model does not fit the points: residuals are {result.reprojection.rms:.2g} px or "
             f"{result.plane_error.rms:.2g} µm rms, largest in {', '.join(worst[:3])}; the stated "
             f"interval of the pixel size is therefore {result.widening:.2g} times as wide as from "
-            f"noise alone; {suspects}{more}"
+            f"noise alone; {suspects}"
         )
     if np.isnan(result.lack_of_fit):
         session.note("too few marks to test whether the model fits: intervals contain only noise")
