@@ -107,11 +107,12 @@ def test_mesh_or_picture_that_fails_gives_a_note(tmp_path, capsys, monkeypatch):
     (tmp_path / "surface.ply").write_text("of another run")
     line = f"depth {tmp_path / 'flat.tif'} --spacing 10 --pixel-size 1"
     assert status(line, tmp_path, "--overwrite") == 0
-    *meshes, look, unknown = capsys.readouterr().err.splitlines()
+    *meshes, look, unknown, removed = capsys.readouterr().err.splitlines()
     assert "no height is known: frames must differ in focus" in unknown
     for note, ending in zip(meshes, ("ply", "stl"), strict=True):
         assert note.startswith(f"note: surface.{ending} is not written: height must have")
     assert look.startswith("note: look.png is not written: RuntimeError: latex could not")
+    assert removed == f"note: {tmp_path / 'surface.ply'} of an earlier run is removed"
     assert not (tmp_path / "surface.ply").exists()
     assert (tmp_path / "summary.json").exists()
 
@@ -477,7 +478,9 @@ def test_track_takes_the_times_of_the_film_unless_a_rate_is_given(tmp_path, caps
     assert status(f"{line} --rate 500 --overwrite", out) == 0
     printed = capsys.readouterr()
     assert "rate 500 frames/s (given)" in printed.out
-    assert printed.err == f"note: the file has {9 / true[-1]:.4g} frames/s: --rate 500 is used\n"
+    note, removed = printed.err.splitlines()
+    assert note == f"note: the file has {9 / true[-1]:.4g} frames/s: --rate 500 is used"
+    assert removed == f"note: {tmp_path / 'track_look.mp4'} of an earlier run is removed"
     np.testing.assert_allclose(pd.read_csv(out)["time_s"], np.arange(10) / 500)
 
 
@@ -786,6 +789,61 @@ def test_written_files_stay_when_a_later_file_fails(
     assert sorted(path.name.split(".")[0] for path in folder.iterdir()) == kept
 
 
+@pytest.mark.parametrize(("size", "film"), [(60_000, True), (4_000, False)])
+def test_track_on_a_full_disk_keeps_whole_rows_and_no_broken_film(size, film, tmp_path):
+    """A file may have `size` bytes: enough for the table, but not for the film, or for neither."""
+    resource = pytest.importorskip("resource", reason="Windows has no such limit")
+    out, old = tmp_path / "out.csv", tmp_path / "out_look.mp4"
+    old.write_bytes(b"old")
+    ended = subprocess.run(
+        [sys.executable, "-m", "microlib", *f"track frames.tif {BOX} --no-look --overwrite".split(),
+            "-o", str(out), *["--video"] * film],
+        cwd=INPUTS,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )  # fmt: skip
+    rows = out.read_text().removesuffix("\n").split("\n")[1:]
+    assert {row.count(",") for row in rows} == {32}
+    assert not old.exists()
+    if film:
+        assert (ended.returncode, len(rows)) == (0, 40)
+        assert "out_look.mp4 is not written: " in ended.stderr
+    else:
+        assert ended.returncode == 3
+        assert f"out.csv keeps the {len(rows)} rows so far" in ended.stderr
+        assert 10 < len(rows) < 40
+
+
+def test_overwriting_that_fails_names_old_and_new_files(tmp_path, capsys, monkeypatch):
+    assert status(STACK, tmp_path) == 0
+    error = OSError(28, "No space left on device")
+    monkeypatch.setattr(io, "write_ply", Mock(side_effect=error))
+    assert status(f"{STACK} --overwrite", tmp_path) == 2
+    new, old = capsys.readouterr().err.split("; files of an earlier run: ")
+    assert new.endswith("all_in_focus.ome.tif, all_in_focus.png")
+    assert old.split() == ["surface.ply,", "surface.stl,", "summary.json"]
+
+
+def test_mask_is_an_input_that_is_not_overwritten(tmp_path, capsys):
+    mask = tmp_path / "out_look.png"
+    cv2.imwrite(str(mask), np.full((140, 181), 255, np.uint8))
+    old = mask.read_bytes()
+    assert status(f"track frames.tif {BOX} --mask {mask} --overwrite", tmp_path / "out.csv") == 2
+    assert "out_look.png is an input: give another --out" in capsys.readouterr().err
+    assert mask.read_bytes() == old
+
+
+@pytest.mark.parametrize("spacing", ["-25um", "-.025mm", "-2.5e1"])
+def test_negative_number_with_a_unit_is_no_option(spacing, tmp_path):
+    line = f"depth focal_stack.tif --reduce 4 --spacing {spacing}"
+    assert status(line, tmp_path) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["depth_median"] < 0
+
+
 def test_help_lists_the_tasks_and_shows_an_example(capsys):
     assert main([]) == 0
     overview = capsys.readouterr().out
@@ -835,8 +893,8 @@ def test_commands_run_as_a_module_without_docstrings(tmp_path):
 
 def test_full_disk_is_reported_and_old_pictures_are_removed(tmp_path, capsys):
     (tmp_path / "full.csv").symlink_to("/dev/full")
-    assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "full.csv") == 2
-    assert "full.csv: No space left" in capsys.readouterr().err
+    assert status(f"track frames.tif {BOX} --overwrite", tmp_path / "full.csv") == 3
+    assert "full.csv: No space left on device" in capsys.readouterr().err
     (tmp_path / "full.csv").unlink()
     for name in ("track_look.png", "track_look.mp4"):
         (tmp_path / name).write_text("of another run")

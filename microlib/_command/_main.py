@@ -51,7 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     logging.getLogger("tifffile").addHandler(logging.NullHandler())
     parser = _parser()
-    a, unknown = parser.parse_known_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    for k in range(len(given) - 1, 0, -1):  # argparse takes -25um for an option
+        if re.fullmatch(r"-[.\d].*[^.\d].*", given[k]) and given[k - 1].startswith("--"):
+            given[k - 1 : k + 1] = [f"{given[k - 1]}={given[k]}"]
+    a, unknown = parser.parse_known_args(given)
     if unknown:
         parser.error(_advice(unknown[0], a))
     if a.task is None:
@@ -64,16 +68,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_: notes.setdefault(f"note: {message}")
+        session = None
         try:
             files = _output_files(task.FILES, out, a.overwrite)
             session = Session(a.task, out, files, notes, a.quiet, not a.no_look)
             end = task.run(a, session)
             session.finish()
-        except KeyboardInterrupt:
-            end = End(130, "stopped")
-        except Exception as error:
-            end = End(2, explain(error, out, vars(a)))
-            notes.clear()
+        except (KeyboardInterrupt, Exception) as error:
+            stopped = isinstance(error, KeyboardInterrupt)
+            reason = "stopped" if stopped else explain(error, out, vars(a))
+            end = End(130 if stopped else 2, reason + (session.mixture() if session else ""))
+            if not stopped:
+                notes.clear()
     if end.status:
         notes[f"microlib {a.task}: {end.reason}"] = None
     for note in notes:  # last, where they are seen

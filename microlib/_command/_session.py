@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from math import floor, inf, log10
@@ -68,7 +69,13 @@ class Session:
 
     def bar(self, steps: Any = None, **options: Any) -> Any:
         """Return a progress bar, which is shown only in a terminal."""
-        return tqdm(steps, desc=self.task, leave=False, disable=self.quiet or None, **options)
+        return tqdm(
+            steps,
+            desc=self.task,
+            leave=False,
+            disable=self.quiet or sys.stderr is None or None,
+            **options,
+        )
 
     def protect(self, inputs: Sequence[Path]) -> None:
         """Raise if one of the files is an input."""
@@ -101,11 +108,21 @@ class Session:
 
     def finish(self) -> None:
         """Remove files of an earlier run, and print which files there are."""
-        for name in self.files.keys() - self.written:
-            self.files[name].unlink(missing_ok=True)
+        old = [file for name, file in self.files.items() if name not in self.written]
+        for file in filter(Path.exists, old):
+            self.note(f"{file} of an earlier run is removed")
+            file.unlink()
         names = [file.name for name, file in self.files.items() if name in self.written]
         folder = next(iter(self.files.values())).parent
         self.say(f"{'this folder' if folder == Path() else folder}: {', '.join(names)}")
+
+    def mixture(self) -> str:
+        """Return which files are new, if a run that failed left others of an earlier run."""
+        there = {name: file.name for name, file in self.files.items() if file.exists()}
+        new = [name for key, name in there.items() if key in self.written]
+        old = [name for key, name in there.items() if key not in self.written]
+        both = f"; new files: {', '.join(new)}; files of an earlier run: {', '.join(old)}"
+        return both if new and old else ""
 
 
 def explain(error: Exception, out: Path, options: Collection[str] = ()) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import errno
+import os
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from microlib._command import _options as options
-from microlib._command._session import End, Session, picture
+from microlib._command._session import End, Session, explain, picture
 from microlib._common import ArgumentError, home_path
 
 #: Names of the files that it writes.
@@ -56,29 +58,30 @@ def run(a: argparse.Namespace, session: Session) -> End:
             mask = io.read_grey(home_path(a.mask))
         except ValueError as error:
             raise ArgumentError("mask", str(error).removeprefix("path ")) from error
+        session.protect([home_path(a.mask)])
     each = tracking.track_each(frames, a.box, a.motion, rate=a.rate, pixel_size=size, mask=mask)
     rows, lost = [next(each)], 0
     if a.rate is not None:
         session.say(f"rate {a.rate:g} frames/s (given)")
     elif "time_s" in rows[0]:
         session.say("times of the frames (the file)")
-    stop: BaseException | None = None
-    with (
-        session.open_lines("table") as file,
-        session.bar(each, initial=1, total=frames.count, unit=" frames") as bar,
-    ):
-        # Each row at once, so that a killed process leaves the rows so far.
-        table = csv.DictWriter(file, rows[0], lineterminator="\n")
-        table.writeheader()
-        table.writerow(_rounded(rows[0]))
-        try:
+    stop: Exception | KeyboardInterrupt | None = None
+    try:
+        with (
+            session.open_lines("table") as file,
+            session.bar(each, initial=1, total=frames.count, unit=" frames") as bar,
+        ):
+            # Each row at once, so that a killed process leaves the rows so far.
+            table = csv.DictWriter(file, rows[0], lineterminator="\n")
+            table.writeheader()
+            table.writerow(_rounded(rows[0]))
             for row in bar:
                 table.writerow(_rounded(row))
                 rows.append(row)
                 lost += row["lost"]
                 bar.set_postfix_str(f"lost in {lost / len(rows):.0%}", False)
-        except (OSError, ValueError, KeyboardInterrupt) as error:
-            stop = error
+    except (OSError, ValueError, KeyboardInterrupt) as error:
+        stop = error
     track = pd.DataFrame(rows)
     rate, last = a.rate or 25, frames.time(len(rows) - 1)
     if last:
@@ -94,8 +97,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.say(f"{summary}; one row per frame, lengths in px{physical}")
     if stop is not None:
         out = session.files["table"]
-        kept = out.read_text(encoding="utf-8").count("\n") - 1  # Ctrl-C can precede the counting
-        reason = f"{str(stop) or 'stopped'}; {out} keeps the {kept} rows so far"
+        kept = 0
+        if out.is_file():  # and no device
+            lines = out.read_bytes()
+            os.truncate(out, lines.rfind(b"\n") + 1)  # a full disk keeps a part of the last row
+            kept = max(lines.count(b"\n") - 1, 0)  # Ctrl-C can precede the counting
+        why = "stopped" if isinstance(stop, KeyboardInterrupt) else explain(stop, out)
+        reason = f"{why}; {out} keeps the {kept} rows so far"
         return End(130 if isinstance(stop, KeyboardInterrupt) else 3, reason)
     if lost > len(rows) / 2:
         remedy = "another --motion, a larger --box, or more frames per second"
@@ -128,3 +136,7 @@ def _write_film(frames: Any, track: Any, rate: float, path: Path) -> None:
         cv2.polylines(image, [np.rint(corner).astype(np.int32)], True, color, 2)
         film.write(image)
     film.release()
+    # OpenCV reports no error of a full disk.
+    whole = cv2.VideoCapture(str(path))
+    if whole.get(cv2.CAP_PROP_FRAME_COUNT) < len(track):
+        raise OSError(errno.EIO, "the film is not whole; is the disk full?", str(path))
