@@ -19,7 +19,7 @@ from microlib.calibration.detection._circles import Circles
 from microlib.calibration.detection._image import GreyImage
 from microlib.calibration.detection._settings import DetectionSettings
 from microlib.calibration.detection._squares import Squares
-from tests.scenes.calibration import PHOTOGRAPHS, SQUARE, board, camera, chessboard
+from tests.scenes.calibration import PHOTOGRAPHS, SQUARE, board, camera, chessboard, outline
 
 DETECT = {"circle": detect_circles, "square": detect_squares}
 DETECTORS = {
@@ -87,10 +87,11 @@ def test_points_are_accurate_over_sizes_blurs_and_noise(kind, size, blur, noise,
     found = DETECT[kind](image)
     assert len(found.points) == len(truth)
     assert rms(errors(found, truth)) < most
-    np.testing.assert_array_equal(found.group, np.repeat(np.arange(35), len(truth) // 35))
-    assert found.grid.min(axis=0).tolist() == [0, 0]
-    steps = np.linalg.lstsq(found.positions - found.positions.mean(axis=0), found.points)[0]
-    assert np.linalg.det(steps) > 0  # y is clockwise from x
+    # Marks are numbered row by row, and each point has its own position.
+    corners = outline(kind, size)[::16] + size / 2 if kind == "square" else np.zeros((1, 2))
+    places, nearest = SQUARE[:, None] + corners, cKDTree(truth).query(found.points)[1]
+    np.testing.assert_array_equal(found.group, nearest // len(corners))
+    np.testing.assert_allclose(found.positions, places.reshape(-1, 2)[nearest], atol=0.01)
     # 35 independent centers give the ratio to ±8 %, corners of shared lines less. Edges are drawn
     # to an eighth of a pixel, which adds to the noise where they are sharp.
     assert blur < 1 or 0.8 < over_sigma(found, truth) < 1.3

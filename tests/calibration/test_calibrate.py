@@ -370,6 +370,7 @@ NO_SIZE = {"pixel_pitch": 9.9}
         ({"world": [WORLD] * 2, "image": [IMAGE], **SENSOR}, "image must hold .* the 2 views"),
         ({"world": [WORLD] * 2, "image": np.array(np.nan), **SENSOR},
             "image must hold one array for each of the 2 views"),
+        ({"world": WORLD / 1e6, "image": IMAGE, **SENSOR}, "give a magnification of 1.58.*e.06"),
         # In mm instead of µm. An earlier version called residuals as large as the image adequate.
         ({"world": WORLD, "image": IMAGE, "focal_length": 126, **SENSOR},
             "focal_length must fit each view .* got 126 µm"),
@@ -701,4 +702,5 @@ def test_principal_distance_and_scale_need_no_pixel_pitch():
     camera = {"image_size": scope.image_size, "pixel_pitch": (9.9, 11.0)}
     image = replace(scope, **camera).project(world)
     given = calibrate(world, image, **camera, focal_length=F)
+    assert given.pixel_pitch == (9.9, 11.0)
     assert given.principal_distance.value == pytest.approx(F * (1 + M) / 9.9, rel=1e-9)

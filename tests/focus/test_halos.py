@@ -8,7 +8,7 @@ from skimage import data
 
 from microlib import synthetic
 from microlib.focus import depth_from_focus
-from tests.scenes import straight_step, tilted_plane
+from tests.scenes import tilted_plane
 from tests.scenes.focus import stack_of
 
 SHAPE = (168, 160)
@@ -55,9 +55,10 @@ def scenes() -> Iterator[tuple]:
     dome = 5 + synthetic.paraboloid(SHAPE, 4.0)
     yield scene("coins on cloth", dome, coins, 2.0, inner, 0.05, 0.009)
     # The wide window takes the better lit side's depth up to 26 px beyond the edge.
-    texture = np.where(x < 80, 128 + 0.2 * (plain[1] - 128), plain[1])
-    step = 3.2 + straight_step(SHAPE, 7.7)
-    yield scene("step of other contrast", step, texture, 1.0, inner, 0.09, 0.03)
+    for axis, place in {"x": x, "y": y}.items():
+        texture = np.where(place < 80, 128 + 0.2 * (plain[1] - 128), plain[1])
+        step = np.where(place < 80, 3.2, 10.9)
+        yield scene(f"step of other contrast along {axis}", step, texture, 1.0, inner, 0.09, 0.03)
     # The better textured side must not win beside it: the pixel's own light decides.
     distance = np.hypot(x - 77, y - 84)
     height = np.where(distance < 55, 6.0 + 5 * (1 - distance / 55), 3.0)

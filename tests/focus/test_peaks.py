@@ -53,19 +53,19 @@ def test_peak_at_an_end_must_exceed_its_neighbor():
     np.testing.assert_array_equal(found[:, 0], [np.nan, np.nan, 7, 17, np.nan])
 
 
-def documented_fit(profile, steps, best, reach):
+def documented_fit(profile, steps, best, reach, power, center):
     """The fit pixel by pixel: np.polyfit with the documented weights, twice."""
     count = len(steps)
     frames = np.arange(max(best - reach, 0), min(best + reach, count - 1) + 1)
     t, y = steps[frames] - steps[best], profile[frames]
-    far, center = min(best, count - 1 - best, reach) or 2, 0.0
+    far = min(best, count - 1 - best, reach) or 2
     near, wide = (
         max(abs(steps[k] - steps[best]) for k in (best - n, best + n) if 0 <= k < count)
         for n in (1, far)
     )
     half = wide + near * (0.5 if far > 1 else 1.0)
     for _ in range(2):
-        weight = y**0.75 * np.maximum(1 - ((t - center) / half) ** 2, 0) ** 2
+        weight = y**power * np.maximum(1 - ((t - center) / half) ** 2, 0) ** 2
         a, b, _ = np.polyfit(t, np.log(y), 2, w=np.sqrt(weight))
         center = -b / (2 * a)
     return steps[best] + center
@@ -80,8 +80,11 @@ def test_fit_peaks_equals_polyfit_with_documented_weights():
         profile = 1 / (1 + ((steps - center) / 1.7) ** 2) + 0.03 * rng.random(13)
         best = int(profile.argmax())
         window = profile[best - 3 : best + 4, None, None].astype(np.float32)
-        found = _fit.fit_peaks(window, np.full((1, 1), best, np.uint16), steps)[0][0, 0]
-        assert found == pytest.approx(documented_fit(profile, steps, best, 3), abs=1e-4)
+        for power, near in ((0.75, None), (1.0, np.full((1, 1), center + 0.3, np.float32))):
+            index, start = np.full((1, 1), best), 0.0 if near is None else near.item() - steps[best]
+            found = _fit.fit_peaks(window, index, steps, near=near, within=1.5)[0].item()
+            wanted = documented_fit(profile, steps, best, 3, power, start)
+            assert found == pytest.approx(wanted, abs=1e-4)
 
 
 # --- The noise of a frame, and the axis ----------------------------------------------------------

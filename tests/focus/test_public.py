@@ -137,8 +137,10 @@ def test_depth_follows_flips_and_rotations(view):
     follows_view(view, lambda depth: smooth_depth(depth, jump=12.0), HOLED, atol=1e-3)
 
 
-@pytest.mark.parametrize(("count", "least"), [(8, 0.4), (11, 0.7), (41, 0.7)])
-def test_depth_uncertainty_matches_error_for_few_and_many_frames(count, least):
+@pytest.mark.parametrize(
+    ("count", "least", "most"), [(8, 0.4, 0.6), (11, 0.7, 1.5), (41, 0.7, 1.5)]
+)
+def test_depth_uncertainty_matches_error_for_few_and_many_frames(count, least, most):
     """Within the limits of benchmarks/focus_depth.py, a half more for few draws.
 
     Of 8 frames peaks are narrow: half of their peak locking is stated, twice what this texture has.
@@ -148,7 +150,7 @@ def test_depth_uncertainty_matches_error_for_few_and_many_frames(count, least):
     for seed in range(3):
         found = depth_from_focus(stack_of(height, z, rate=0.25, noise=4.0, seed=seed), z)
         ratios.append(rms(inner(found.depth - height)) / rms(inner(found.uncertainty)))
-    assert least < np.mean(ratios) < 1.5
+    assert least < np.mean(ratios) < most
 
 
 def test_frames_can_be_used_again_after_interruption():

@@ -289,6 +289,7 @@ def test_foreign_frame_is_reported_and_left_out() -> None:
     with pytest.warns(UserWarning, match="frames 5 cannot be registered: left out"):
         result = depth_from_focus(stack, POSITIONS, register=True)
     assert np.flatnonzero(np.isnan(result.warps[:, 0, 0])).tolist() == [5]
+    np.testing.assert_allclose(result.warps[MIDDLE], np.eye(2, 3), atol=1e-12)
     assert 5 not in result.index
     assert result.index.max() > 9  # numbers are those of the whole stack
     rest = depth_from_focus(np.delete(disturbed(frames, 1), 5, axis=0), np.delete(POSITIONS, 5))
