@@ -294,6 +294,7 @@ def saturated(levels: int, kind: type) -> np.ndarray:
 NO_PROBE = "one dark probe that enters through its upper edge, got 0 bars"
 ONE_SIDE = "image must show an embryo's outline on both sides of the probe"
 FLAT = "image must show a dimple at least 3 px deep"
+CORNER = np.indices((320, 480)).sum(axis=0) < 60
 #: Images without a measurable dimple, and the error of each.
 SPOILED = {
     "no embryo": (lambda: barred(np.full((320, 480), 190, np.uint8), 130, 234), ONE_SIDE),
@@ -309,6 +310,8 @@ SPOILED = {
     "two probes": (lambda: barred(render().image, 60, 80), "one dark probe .* got 2 bars"),
     "hollow": (hollow, r"probe's edges against a brighter ground, got them in [0-7] of"),
     "saturated": (lambda: saturated(1, np.uint8), "not be saturated"),
+    "saturated fractions": (lambda: saturated(1, np.float64) / 255, "pixels at 1 or above"),
+    "saturated corner": (lambda: np.where(CORNER, 255, render().image).astype(np.uint8), "1.2% of"),
     "saturated at 12 bits": (lambda: saturated(16, np.uint16), "saturated, .* at 4095 or above"),
 }
 

@@ -64,6 +64,7 @@ def test_fit_does_not_depend_on_the_unit_of_the_outline():
     y = 60 + dimple + np.random.default_rng(3).normal(0, 0.4, x.size)
     reference, scaled = fit_gaussians(x, y), fit_gaussians(x / 1000, y / 1000)
     np.testing.assert_allclose(1000 * scaled(x / 1000), reference(x), atol=1e-3)
+    assert (len(reference.centers), reference.domain) == (8, (-40.0, 260.0))
 
 
 def test_matrices_of_a_fit_to_many_points_are_too_small_for_threads(monkeypatch):

@@ -107,11 +107,11 @@ def test_outline_without_noise_has_finite_covariance(form: str) -> None:
 
 def test_covariance_without_noise_is_that_of_the_three_spans():
     found = dimple_from_outline(ACROSS, smooth(ACROSS), pixel_size=2.0)
-    sizes = []
-    for span in SPANS:
-        curve = fit_gaussians(found.x, loess(found.x, found.y, span=span))
-        dimple = dimple_geometry(curve, pixel_size=2.0)
-        sizes.append([dimple.rim_radius, dimple.dimple_depth])
+    curves = [fit_gaussians(found.x, loess(found.x, found.y, span=span)) for span in SPANS]
+    dimples = [dimple_geometry(curve, pixel_size=2.0) for curve in curves]
+    sizes = [[dimple.rim_radius, dimple.dimple_depth] for dimple in dimples]
+    np.testing.assert_allclose(found.curve(found.x), curves[1](found.x))
+    assert [found.left.rim_radius, found.left.dimple_depth] == pytest.approx(sizes[1])
     variances = np.diag(found.left.covariance)
     np.testing.assert_allclose(variances, np.var(sizes, axis=0, ddof=1), rtol=0.1)
 

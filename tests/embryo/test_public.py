@@ -18,6 +18,7 @@ from tests.checks import (
     NEGATIVE,
     NO_COUNT,
     NOT_POSITIVE,
+    Wrong,
     hold_call,
     hold_refused,
     hold_same_as_new,
@@ -114,6 +115,7 @@ REFUSED = {
         "pixel_size": [*PIXEL, 3.9e-6],
         "probe_half_width": [*NOT_POSITIVE, 45.0],
         "poisson_ratio": [*NEGATIVE, 0.6],
+        "direction": ["up", Wrong("bottom", "from the bottom")],
     },
 }
 
