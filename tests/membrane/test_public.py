@@ -114,7 +114,7 @@ REFUSED = {
         "uncertainties": [
             Wrong({"mass": 1.0}, "mass"),
             Wrong({"force": np.nan}, "force"),
-            Wrong({"dimple_depth": 1.0}, "dimple_covariance"),
+            *(Wrong({name: 1.0}, "dimple_covariance") for name in ("rim_radius", "dimple_depth")),
         ],
         "dimple_covariance": lambda valid: [*no_map(valid), np.eye(3)],
     },
