@@ -70,8 +70,9 @@ def test_state_joins_probe_and_rim_with_level_tangent() -> None:
     assert (state.r[0], state.r[-1]) == pytest.approx((C, A))
     assert (state.z[0], state.z[-1]) == (pytest.approx(-state.depth), 0)
     assert state.pressure == pytest.approx(F / (np.pi * A**2))
-    given = indent_disc(F, A, modulus=1.3, pressure=F / (np.pi * A**2), **DISC)
-    assert given.depth == pytest.approx(state.depth, rel=1e-9)
+    usual = {"law": "neo-hooke", "pressure": F / (np.pi * A**2), "pretension": 0.0, **DISC}
+    assert indent_disc(F, A, modulus=1.3, **usual).depth == pytest.approx(state.depth, rel=1e-9)
+    assert disc_modulus(F, A, state.depth, **DISC) == pytest.approx(1.3, rel=1e-6)
     # The pressure carries the whole force at the rim.
     slope = (state.z[-1] - state.z[-2]) / (state.r[-1] - state.r[-2])
     assert slope == pytest.approx(0, abs=5e-3)
