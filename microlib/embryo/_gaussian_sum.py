@@ -226,4 +226,4 @@ def _linearize(x: Array, y: Array, parameters: Array) -> Array:
     while len(rows) > 256:
         parts = [rows[start : start + 256] for start in range(0, len(rows), 256)]
         rows = np.vstack([np.linalg.qr(part, mode="r") for part in parts])
-    return np.linalg.qr(rows, mode="r")
+    return np.asarray(np.linalg.qr(rows, mode="r"))

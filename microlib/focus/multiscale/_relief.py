@@ -95,7 +95,8 @@ def find_relief(
     relief, half_difference = np.empty((2, *weight.shape), np.float32)
 
     def find(band: Band) -> None:
-        found = _relief_of(*(part[band.padded] for part in (along, down, weight)), settings)
+        rows = band.padded
+        found = _relief_of(along[rows], down[rows], weight[rows], settings)
         for whole, part in zip((relief, half_difference), found, strict=True):
             whole[band.rows] = part[band.own]
 
