@@ -354,6 +354,33 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
     assert "Label: 10x" in str(core.getPixelSizeConfigData("10x"))
 
 
+def test_each_photograph_has_its_line_as_soon_as_it_is_searched(tmp_path, monkeypatch):
+    """Also where the output is a file, which is otherwise written in large blocks."""
+    for name in "abc":
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((90, 120), 100, np.uint8))
+    printed = TextIOWrapper(BytesIO(), encoding="utf-8")
+    before: list[bytes] = []
+
+    def search(image, pattern):
+        before.append(printed.buffer.getvalue())
+        if len(before) == 2:
+            return "circles", "Detection of 9 points"
+        raise ValueError("none")
+
+    monkeypatch.setattr("microlib.calibration.detect_pattern", search)
+    monkeypatch.setattr("sys.stdout", printed)
+    status(f"calibrate '{tmp_path}/*.png' --pitch 200", tmp_path / "out", "")
+    first, second = (
+        f"{tmp_path}/{line}\n"
+        for line in ("a.png: left out", "b.png: circles: Detection of 9 points")
+    )
+    assert [text.decode().partition("(given)\n")[2] for text in before] == [
+        "",
+        first,
+        first + second,
+    ]
+
+
 MISFIT = {"adequate": False}
 
 

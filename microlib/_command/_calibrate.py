@@ -99,11 +99,12 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
     from microlib.calibration import detect_pattern
 
     found = options.detect_each(
-        options.photographs(source, session), partial(detect_pattern, pattern=pattern), session
+        options.photographs(source, session),
+        partial(detect_pattern, pattern=pattern),
+        session,
+        lambda found: f"{found[0]}: {found[1]}",
     )
     views = {photo: (image, detection) for photo, (image, (_, detection)) in found.items()}
-    for photo, (_, (name, detection)) in found.items():
-        session.say(f"{photo}: {name}: {detection}")
     sizes = {photo: "×".join(map(str, found.image_size)) for photo, (_, found) in views.items()}
     usual_size = mode(sizes.values())
     for photo, size in sizes.items():

@@ -31,7 +31,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     names = {photo: re.sub(r'[,"\\]', "_", photo.stem) for photo in photos}
     if len(set(names.values())) < len(photos):
         raise ValueError(f"names of photographs must differ, got {[*names.values()]}")
-    found = detect_each(photos, detect_micrometer, session)
+    found = detect_each(
+        photos, detect_micrometer, session, lambda found: f"{len(found.points)} lines"
+    )
     images = {names[photo]: image for photo, (image, _) in found.items()}
     scales = {names[photo]: scale for photo, (_, scale) in found.items()}
     sizes = {name: scale.um_per_pixel(a.division) for name, scale in scales.items()}
@@ -45,7 +47,7 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("imagej.ijm", text(_imagej(digits)))
     session.write("look.png", picture(partial(micrometers, scales, images)))
     for name, size in sizes.items():
-        session.say(f"{name}: {size}, {len(scales[name].points)} lines")
+        session.say(f"{name}: {size}")
         question_size(session, size.value)
         if size.uncertainty > 0.01 * size.value:
             session.note(f"{name}: the lines are uneven by more than those of a micrometer")

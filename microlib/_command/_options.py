@@ -129,9 +129,15 @@ def photographs(source: Iterable[str], session: Session) -> list[Path]:
 
 
 def detect_each(
-    photos: Sequence[Path], detect: Callable[[NDArray], Any], session: Session
+    photos: Sequence[Path],
+    detect: Callable[[NDArray], Any],
+    session: Session,
+    describe: Callable[[Any], str],
 ) -> dict[Path, tuple[NDArray, Any]]:
-    """Return the grey levels of each photograph and what is detected; note those left out."""
+    """Return the grey levels of each photograph and what is detected; note those left out.
+
+    A line with the description of what is detected is printed after each photograph.
+    """
     from microlib.io import read_grey
 
     found, fault = {}, ""
@@ -139,10 +145,12 @@ def detect_each(
         try:
             image = read_grey(photo)
             found[photo] = image, detect(image)
+            session.say(f"{photo}: {describe(found[photo][1])}")
         except ValueError as error:
             reason = str(error).removeprefix(f"path must name an image, got {photo}: ")
             fault = f"{photo}: {reason}"
             session.note(f"left out {fault}")
+            session.say(f"{photo}: left out")
     if not found:
         raise ValueError(fault + f"; so {len(photos)} photographs" * (len(photos) > 1))
     return found

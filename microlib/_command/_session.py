@@ -61,7 +61,7 @@ class Session:
     def say(self, text: object) -> None:
         """Print a result or a scale that is used."""
         if not self.quiet:
-            print(text)
+            tqdm.write(str(text))  # above a progress bar
 
     def note(self, text: object) -> None:
         """Keep a message for the end of the run, where it is seen."""
