@@ -65,9 +65,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
         seen = "up" if down else "down"
         session.note(f"{a.source}: read with y pointing {seen}, because only so it has one dimple")
     sides = measured.left, measured.right
-    shapes = [[side.rim_radius for side in sides], [side.dimple_depth for side in sides]]
-    force, others = values["force"], {n: value for n, value in values.items() if n != "force"}
-    moduli = membrane.elastic_modulus(force, *shapes, **others)  # warns once for both rims
+    shapes = {n: [getattr(side, n) for side in sides] for n in ("rim_radius", "dimple_depth")}
+    moduli = membrane.elastic_modulus(**values, **shapes)  # warns once for both rims
     (left, left_text), (right, right_text) = (
         _estimate(side, as_physical("modulus", value), values, uncertainties)
         for side, value in zip(sides, moduli, strict=True)

@@ -11,6 +11,7 @@ from microlib._common._checks import (
     as_scalar,
     as_tuple,
     check_same_length,
+    positive_scalars,
     reject_masks,
 )
 from microlib._common._files import SOFTWARE, home_path, replace_file

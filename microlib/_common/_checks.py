@@ -124,6 +124,11 @@ def as_scalar(name: str, value: object, **bounds: float | None) -> float:
     return value
 
 
+def positive_scalars(**values: object) -> list[float]:
+    """Return single numbers, each above zero."""
+    return [as_scalar(name, value, above=0) for name, value in values.items()]
+
+
 def as_positive(name: str, value: ArrayLike) -> Array:
     """Return `value` as float64, every element above zero."""
     return as_array(name, value, above=0)

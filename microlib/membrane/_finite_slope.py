@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from microlib._common import as_poisson_ratio, as_scalar
+from microlib._common import as_poisson_ratio, as_scalar, positive_scalars
 from microlib.membrane._point_load import GAUSS, check_bending
 
 
@@ -99,11 +99,7 @@ def finite_slope_modulus(
     11.09 MPa
     """
     a, c = _geometry(rim_radius, probe_half_width)
-    load, depth = (
-        as_scalar("force", force, above=0),
-        as_scalar("dimple_depth", dimple_depth, above=0),
-    )
-    h = as_scalar("thickness", thickness, above=0)
+    load, depth, h = positive_scalars(force=force, dimple_depth=dimple_depth, thickness=thickness)
     nu = as_poisson_ratio(poisson_ratio)
     check_bending("dimple_depth", depth, h)
     if depth > (steepest := _depth(1.0, a, c)):

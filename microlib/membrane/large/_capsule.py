@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from microlib._common import FlatResult, as_scalar
+from microlib._common import FlatResult, as_scalar, positive_scalars
 from microlib.membrane._point_load import warn_if_implausible
 from microlib.membrane.large._capsule_problem import (
     CapsuleProblem,
@@ -144,8 +144,7 @@ def indent_capsule(
     >>> print(f"{state.depth:.2f} µm deep, rim at {state.rim_radius:.2f} µm")
     65.35 µm deep, rim at 184.90 µm
     """
-    load = as_scalar("force", force, above=0)
-    stiffness = as_scalar("modulus", modulus, above=0)
+    load, stiffness = positive_scalars(force=force, modulus=modulus)
     stretch = as_scalar("inflation", inflation, least=1)
     r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
     material = constitutive_law(law, poisson_ratio)
@@ -233,8 +232,7 @@ def capsule_modulus(
     >>> print(f"{egg.modulus:.2f} MPa, inflated by {egg.inflation:.3f}")
     1.12 MPa, inflated by 1.042
     """
-    load = as_scalar("force", force, above=0)
-    a, deep = as_scalar("rim_radius", rim_radius, above=0), as_scalar("depth", depth, above=0)
+    load, a, deep = positive_scalars(force=force, rim_radius=rim_radius, depth=depth)
     r0, h, c = _check_sizes(capsule_radius, thickness, probe_half_width)
     material = constitutive_law(law, poisson_ratio)
     if not c < a < r0:

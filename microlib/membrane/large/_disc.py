@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from microlib._common import Array, as_scalar
+from microlib._common import Array, as_scalar, positive_scalars
 from microlib.membrane._point_load import check_bending, warn_if_implausible
 from microlib.membrane.large._laws import Law, constitutive_law
 from microlib.membrane.large._solver import (
@@ -223,10 +223,8 @@ def indent_disc(
     >>> print(f"{state.depth:.2f} µm")
     60.58 µm
     """
-    load, a = as_scalar("force", force, above=0), as_scalar("rim_radius", rim_radius, above=0)
-    stiffness, h = (
-        as_scalar("modulus", modulus, above=0),
-        as_scalar("thickness", thickness, above=0),
+    load, a, stiffness, h = positive_scalars(
+        force=force, rim_radius=rim_radius, modulus=modulus, thickness=thickness
     )
     support = {"pressure": pressure, "pretension": pretension}
     material = constitutive_law(law, poisson_ratio)
@@ -300,8 +298,9 @@ def disc_modulus(
     >>> print(f"{modulus:.2f} MPa")
     1.30 MPa
     """
-    load, a = as_scalar("force", force, above=0), as_scalar("rim_radius", rim_radius, above=0)
-    target, h = as_scalar("depth", depth, above=0), as_scalar("thickness", thickness, above=0)
+    load, a, target, h = positive_scalars(
+        force=force, rim_radius=rim_radius, depth=depth, thickness=thickness
+    )
     support = {"pressure": pressure, "pretension": pretension}
     material = constitutive_law(law, poisson_ratio)
     disc = _dimensionless_disc(load, a, h, probe_half_width, material, **support)

@@ -6,7 +6,7 @@ import warnings
 from contextlib import suppress
 from typing import Any
 
-from microlib._common import as_poisson_ratio, as_scalar
+from microlib._common import as_poisson_ratio, as_scalar, positive_scalars
 from microlib.membrane._point_load import SmallSlopeWarning, elastic_modulus
 from microlib.membrane.large._capsule import capsule_modulus
 from microlib.membrane.large._disc import disc_modulus
@@ -63,15 +63,9 @@ def model_moduli(
     disc, hooke: 0.63 MPa
     disc, hooke, no pressure: 1.04 MPa
     """
-    dimple = (
-        as_scalar("force", force, above=0),
-        as_scalar("rim_radius", rim_radius, above=0),
-        as_scalar("dimple_depth", dimple_depth, above=0),
-    )
-    lengths: dict[str, Any] = {
-        "thickness": as_scalar("thickness", thickness, above=0),
-        "probe_half_width": as_scalar("probe_half_width", probe_half_width, above=0),
-    }
+    dimple = positive_scalars(force=force, rim_radius=rim_radius, dimple_depth=dimple_depth)
+    sides = {"thickness": thickness, "probe_half_width": probe_half_width}
+    lengths: dict[str, Any] = dict(zip(sides, positive_scalars(**sides), strict=True))
     poisson_ratio = as_poisson_ratio(poisson_ratio)
     if capsule_radius is not None:
         capsule_radius = as_scalar("capsule_radius", capsule_radius, above=0)
