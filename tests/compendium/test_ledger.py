@@ -28,6 +28,7 @@ def make(kind: str, **fields: object) -> ledger.Claim:
         ("follows", {}, (2.5051, 2.5051, 2.5051), False),
         ("follows", {}, (2.5149, 2.5049, 2.5249), True),  # what printed inputs allow
         ("follows", {}, (2.5151, 2.5051, 2.5251), False),
+        ("follows", {"printed": "-2.50"}, (-2.5149, -2.5249, -2.5049), True),
         ("follows", {}, (2.5, 2.4, 2.6), False),  # no rounding is as large
         ("follows", {"printed": "< 1", "unit": "s"}, (0.9, 0.9, 0.9), True),
         ("follows", {"printed": "< 1", "unit": "s"}, (1.0, 1.0, 1.0), False),
@@ -38,11 +39,13 @@ def make(kind: str, **fields: object) -> ledger.Claim:
         ("contradicts", PROVEN | {"corrected": "2.504"}, (2.504, 2.504, 2.504), False),
         ("contradicts", PROVEN | {"recomputed": 2.6, "within": 0.2}, (2.6, 2.6, 2.6), True),
         ("contradicts", PROVEN | {"recomputed": 2.6, "within": 0.2}, (2.6, 2.5, 2.7), False),
+        ("contradicts", PROVEN | {"recomputed": 3.0, "within": 0.1}, (3.15, 3.15, 3.15), False),
         ("contradicts", PROVEN | {"limit": "< 1", **FOUND}, (3.0, 3.0, 3.0), None),
         ("contradicts", PROVEN | {"limit": "< 1", "corrected": "3"}, (3.0, 2.9, 3.1), True),
         ("contradicts", PROVEN | {"limit": "< 1", "corrected": "3"}, (3.0, 0.9, 5.1), False),
         ("possible", {"assumes": "a"}, (2.4, 2.3, 2.5), True),
         ("possible", {"assumes": "a"}, (2.4, 2.3, 2.49), False),
+        ("possible", {"assumes": "a", "printed": "-2.50"}, (-2.4, -2.5, -2.3), True),
         ("possible", {"assumes": "a"}, (2.5, 0.1, 4.9), True),
         ("possible", {"assumes": "a"}, (2.5, -0.1, 5.1), False),  # such an interval says nothing
         ("possible", {"assumes": "a", "limit": "< 1"}, (0.9, 0.8, 0.99), True),
@@ -168,14 +171,17 @@ def test_records_are_written_and_read(tmp_path):
         ledger.open_record(tmp_path / "claims" / "05.json")
         ledger.check("table-5.6/E", 1.32372)
         ledger.report("5.6/half-width", 25.0, "µm", digits=1)
-        ledger.check("table-5.6/E", 1.32371)  # a cell run again replaces its record
+        ledger.check("table-5.6/w_d", 121.22)
+        ledger.check("table-5.6/E", 1.32371, 0.02)  # a cell run again replaces its record
         records = ledger.read_records(tmp_path / "claims")
         assert records["table-5.6/E"].value == 1.32371
         assert str(records["5.6/half-width"]) == "25.0 µm"
-        assert list(ledger.summary("table-5.6").index) == ["table-5.6/E"]
+        assert list(ledger.summary("table-5.6/E").index) == ["table-5.6/E"]
         table = ledger.scorecard(tmp_path / "claims").set_index("claim")
-        assert table.loc["table-5.6/E", "recomputed"] == "1.32371"
+        assert table.loc["table-5.6/E", "recomputed"] == "1.324 ± 0.020"
+        assert [*table.loc["table-5.6/E", ["low", "high"]]] == pytest.approx([1.30371, 1.34371])
         assert table["verdict"].isin(ledger.ORDER).all()
+        assert table.loc["section-4/contact-mechanics", "where"] == "Chapter 4"
         assert table.loc["table-5.6/zeta", "explanation"].startswith("Proof: ")
         (tmp_path / "claims" / "06.json").write_text((tmp_path / "claims" / "05.json").read_text())
         with pytest.raises(ValueError, match="recorded twice"):
@@ -204,9 +210,11 @@ def test_number_is_shown_to_its_uncertainty(value, low, high, digits, text):
     assert str(moved) == text
 
 
-def test_count_is_shown_without_decimals():
+def test_count_is_shown_without_decimals_and_number_of_a_sentence_to_four_digits():
     assert str(ledger.check("section-5.1/zoom-ratio", 15.0)) == "15"
     assert str(ledger.check("section-5.1/zoom-ratio", 15.2)) == "15.2"
+    assert str(ledger.check("section-2.2/converges", -12.3456)) == "-12.35 1/s"
+    assert str(ledger.check("section-4.1/no-bending", 0.012345)) == "0.012"
 
 
 @pytest.mark.parametrize("claim", [c for c in CLAIMS if c.compared], ids=lambda claim: claim.id)

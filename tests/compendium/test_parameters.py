@@ -56,6 +56,7 @@ def test_text_is_converted_to_type_of_parameter(notebook, name, text, value):
         ("spacing", "0", "spacing must be a finite number ≠ 0, got 0"),
         ("size", "0", "size must be a finite number > 0, got 0"),
         ("radius", "0", "radius must be a finite number > 0 or None, got 0"),
+        ("size", "None", "size must be a finite number > 0, got None"),
         ("size", "-1", "size must be a finite number > 0, got -1"),
         ("spread", "-1e-9", "spread must be a finite number ≥ 0, got -1e-9"),
         ("seed", "1.5", "seed must be a whole number, got 1.5"),
