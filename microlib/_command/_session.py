@@ -125,7 +125,7 @@ class Session:
         return both if new and old else ""
 
 
-def explain(error: Exception, out: Path, options: Collection[str] = ()) -> str:
+def explain(error: BaseException, out: Path, options: Collection[str] = ()) -> str:
     """Return the message of an error, with options in place of names of arguments."""
     if isinstance(error, OSError) and error.errno:  # a full disk has no file's name
         return f"{error.filename or out}: {error.strerror}"

@@ -288,9 +288,8 @@ def _exponents(problem: CapsuleProblem, solution: Any) -> dict[str, float]:
 def _check_sizes(
     capsule_radius: float, thickness: float, probe_half_width: float
 ) -> tuple[float, float, float]:
-    r0 = as_scalar("capsule_radius", capsule_radius, above=0)
-    c = as_scalar("probe_half_width", probe_half_width, above=0, below=r0)
-    return r0, as_scalar("thickness", thickness, above=0), c
+    r0, h = positive_scalars(capsule_radius=capsule_radius, thickness=thickness)
+    return r0, h, as_scalar("probe_half_width", probe_half_width, above=0, below=r0)
 
 
 def _state(
