@@ -141,7 +141,7 @@ def esm_shift(
     box : tuple of int
         (x, y, width, height) of the template, px.
     iterations : int
-        Number of steps.
+        Largest number of steps. The search ends before at a step below 1e-4 px.
 
     Examples
     --------
@@ -161,7 +161,10 @@ def esm_shift(
         place = [rows + shift[1], columns + shift[0]]
         seen = ndimage.map_coordinates(spline, place, mode="nearest", prefilter=False)
         slopes = (np.array(np.gradient(template)) + np.array(np.gradient(seen)))[::-1] / 2
-        shift += np.linalg.lstsq(slopes.reshape(2, -1).T, (template - seen).ravel())[0]
+        step = np.linalg.lstsq(slopes.reshape(2, -1).T, (template - seen).ravel())[0]
+        shift += step
+        if np.hypot(*step) < 1e-4:
+            break
     return shift
 
 
