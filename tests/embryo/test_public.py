@@ -108,7 +108,10 @@ REFUSED = {
         "span": [*NOT_POSITIVE, 1.2, 0.02],
         "degree": [*NO_COUNT, 3],
     },
-    fit_dimple: {"pixel_size": PIXEL, "probe_half_width": [*NOT_POSITIVE, 8.0, 45.0]},
+    fit_dimple: {
+        "pixel_size": PIXEL,
+        "probe_half_width": [*NOT_POSITIVE, *(Wrong(c, "must be that of") for c in (8.0, 45.0))],
+    },
     modulus_from_image: {
         "force": [*NEGATIVE, 150e-6],  # in N
         "thickness": [*NOT_POSITIVE, 3e-6],  # in m
