@@ -83,6 +83,9 @@ def test_tight_disc_is_a_linear_spring() -> None:
     small = indent_disc(1e-4, A, modulus=1.0, pretension=0.1, pressure=0, **DISC).depth
     tension = H * (1 - 1.1**-6) / 3
     assert small == pytest.approx(1e-4 * np.log(A / C) / (2 * np.pi * tension), rel=1e-3)
+    # Also if it is less deep than thick.
+    found = disc_modulus(1e-4, A, small, pretension=0.1, pressure=0, **DISC)
+    assert found == pytest.approx(1.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("narrow", [0.005, 0.001])
