@@ -186,16 +186,15 @@ PHOTOGRAPHS = {
 }
 
 
-def detection_of(positions, points, *, groups=None, image_size=(640, 480), **more) -> Detection:
+def detection_of(positions, points, *, groups=None, image_size=(640, 480)) -> Detection:
     """The detection of marks at positions, in pitches, whose points are known exactly."""
     groups = np.arange(len(points)) if groups is None else groups
     first = np.array([positions[groups == group].min(axis=0) for group in groups])
     ends = positions > first + 0.1  # of the sides of a square, which `detect_squares` counts, too
     grid = (1 + ends.any()) * np.round(first - first.min(axis=0)).astype(int) + ends
-    given = {"uncertainty": np.ones(len(points)), "side": np.nan, "grid": grid} | more
     return Detection(
-        points=points, positions=positions, group=groups, normalized_rms=1.0,
-        image_size=image_size, **given,
+        points=points, grid=grid, uncertainty=np.ones(len(points)), group=groups,
+        positions=positions, side=np.nan, normalized_rms=1.0, image_size=image_size,
     )  # fmt: skip
 
 
