@@ -251,16 +251,16 @@ def test_covariance_of_squares_equals_leaving_out_one_square():
     scope = replace(tilted(20, 15), tx=0, ty=0)
     grid = 4 * np.argwhere(np.ones((3, 4)))[:, None] + [[0, 0], [1, 0], [1, 1], [0, 1]]
     grid = grid.reshape(-1, 2)
-    world = 200.0 * np.round((grid - grid.mean(axis=0)) @ [[0, 1], [-1, 0]])
+    world = 180.0 * (grid - [4, 6]) @ [[0, 1], [-1, 0]]
     groups = np.arange(48) // 4
     image = noisy(scope.project(world), 2) + noisy(np.zeros((12, 2)), 3)[groups]
-    whole = detection_of(world / 400, image, groups=groups, image_size=SENSOR["image_size"])
+    whole = detection_of(world / 360, image, groups=groups, image_size=SENSOR["image_size"])
 
     def left_out(*which):
         kept = ~np.isin(groups, which)
         part = ("points", "grid", "uncertainty", "group", "positions")
         found = replace(whole, **{name: getattr(whole, name)[kept] for name in part})
-        return calibrate(found, pitch=400, focal_length=F, pixel_pitch=SENSOR["pixel_pitch"])
+        return calibrate(found, pitch=360, focal_length=F, pixel_pitch=SENSOR["pixel_pitch"])
 
     found = left_out()
     changes = np.array([values(left_out(g)) for g in range(12)]) - values(found)
