@@ -300,7 +300,7 @@ def of_two_axes(name: str, value: ArrayLike) -> Array:
 
 def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None)) -> Array:
     """Return a Jacobian of full rank, or a stack of them."""
-    matrix = as_array("jacobian", jacobian, shape=shape)
+    matrix = as_array("jacobian", jacobian, shape=shape).copy()  # it is kept
     values = np.linalg.svd(matrix, compute_uv=False)
     # The rounding of a double is a millionth of what the weakest direction then does.
     if (values[..., -1] * 1e10 <= values[..., 0]).any():

@@ -134,7 +134,7 @@ def simulate(
         number of the sample; a run begins with 0, at which a controller that keeps a state must
         forget the run before. ``measured`` is the feature in px, NaN if it is lost, and
         ``reference`` contains all K references. With N runs, the measured feature and the velocity
-        have the shape (N, 2).
+        have the shape (N, 2). It may change its copy of ``measured``; ``reference`` is read-only.
     reference : array_like, shape (K, 2)
         Wanted feature at each exposure, px.
     jacobian : array_like, shape (2, 2) or (N, 2, 2)
@@ -178,7 +178,8 @@ def simulate(
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
-    references = as_array("reference", reference, shape=(None, 2))
+    references = as_array("reference", reference, shape=(None, 2)).copy()
+    references.flags.writeable = False  # a controller sees it
     matrix = as_array("jacobian", jacobian)
     runs = matrix.shape[:-2]
     matrix = full_rank(matrix, (*runs, 2, 2))
@@ -208,7 +209,9 @@ def simulate(
         feature[k] = origin + (matrix @ positions[k][..., None])[..., 0]
         shaken = feature[k] + jitter[..., k, :]
         measured[k] = shaken if observer is None else observer(shaken)
-        command = as_array("command", controller(k, measured[k], references), shape=(*runs, 2))
+        command = as_array(
+            "command", controller(k, measured[k].copy(), references), shape=(*runs, 2)
+        )
         saturated[k] = (np.abs(command) > stage.saturation).any(axis=-1)
         commands[k + first] = np.clip(command, -stage.saturation, stage.saturation)
         position = position + camera.interval * (part * commands[k] + (1 - part) * commands[k + 1])

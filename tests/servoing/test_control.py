@@ -137,6 +137,26 @@ def test_command_is_clipped_on_each_axis_and_rejected_if_not_finite():
         loop(lambda *_: np.full(2, np.nan), np.zeros((3, 2)))
 
 
+def test_log_and_reference_stay_where_a_controller_works_in_place():
+    wanted = np.full((5, 2), 5.0)
+
+    def in_place(k, measured, reference):
+        measured -= reference[k]
+        return -10 * measured
+
+    run = loop(in_place, wanted, jacobian=np.eye(2), start=(0, 0))
+    np.testing.assert_array_equal(run.measured, run.feature)  # a camera without jitter
+    np.testing.assert_array_equal(run.command[0], [50.0, 50.0])
+    wanted[:] = 7.0
+    np.testing.assert_array_equal(run.reference, np.full((5, 2), 5.0))
+
+    def overwriting(k, measured, reference):
+        reference[:] = 0.0
+
+    with pytest.raises(ValueError, match="read-only"):
+        loop(overwriting, wanted)
+
+
 def test_runs_simulated_at_once_equal_those_simulated_alone():
     """The delay is more than a frame, and the feature is lost in some frames."""
     law = optimal()

@@ -67,6 +67,7 @@ def test_second_run_with_the_jacobian_of_the_first_needs_no_calibration():
     np.testing.assert_allclose(run.drift, (1.5, -0.5), atol=0.25)
     again = steer(scope, AWAY, jacobian=run.jacobian)
     assert again.reached.all()
+    assert not np.shares_memory(again.jacobian, run.jacobian)
     assert "calibration" not in again.log["phase"].to_numpy()
     for unknown in (again.jacobian_covariance, again.drift, again.reduced_chi2):
         assert np.isnan(unknown).all()
