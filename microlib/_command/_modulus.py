@@ -73,7 +73,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     )
     low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
-        session.note(f"{a.source}: the moduli of the two rims differ by more than their intervals")
+        session.note(
+            f"{a.source}: the moduli of the two rims differ by more than their intervals; is the outline tilted?"
+        )
     least, most = (f"modulus_{end}_over_models_MPa" for end in ("low", "high"))
     ends = min(left[least], right[least]), max(left[most], right[most])
     headline = f"E = {ends[0]:.2g} to {ends[1]:.2g} MPa over all models and both rims"

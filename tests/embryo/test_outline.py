@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
@@ -21,6 +22,7 @@ from microlib.embryo import (
     loess,
     read_outline,
 )
+from microlib.membrane import dimple_profile
 from tests.checks import hold_sigma
 
 DATA = Path(__file__).parents[2] / "data" / "synthetic"
@@ -104,7 +106,7 @@ def test_outline_without_noise_has_finite_covariance(form: str) -> None:
     assert dimple.dimple_depth == pytest.approx(DEPTH, abs=3 * dimple.covariance[1, 1] ** 0.5)
 
 
-def test_covariance_without_noise_is_that_of_the_three_spans():
+def test_covariance_without_noise_is_that_of_spans_and_of_smoothing():
     found = dimple_from_outline(ACROSS, smooth(ACROSS), pixel_size=2.0)
     curves = [
         fit_gaussians(found.x, loess(found.x, found.y, span=span)) for span in (0.15, 0.25, 0.35)
@@ -113,8 +115,36 @@ def test_covariance_without_noise_is_that_of_the_three_spans():
     sizes = [[dimple.rim_radius, dimple.dimple_depth] for dimple in dimples]
     np.testing.assert_allclose(found.curve(found.x), curves[1](found.x))
     assert [found.left.rim_radius, found.left.dimple_depth] == pytest.approx(sizes[1])
-    variances = np.diag(found.left.covariance)
-    np.testing.assert_allclose(variances, np.var(sizes, axis=0, ddof=1), rtol=0.1)
+    extrema = []
+    for span in (0.25, 0.125):
+        curve = loess(found.x, found.y, span=span)
+        peak = CubicSpline(found.x, -curve)
+        rim = minimize_scalar(peak, bounds=(RIM - 15, RIM + 15), method="bounded")
+        extrema.append([-2 * rim.x, -2 * rim.fun - 2 * curve.min()])
+    bias = 2 * np.diff(extrema, axis=0)[0]
+    of_spans = np.var(sizes, axis=0, ddof=1)
+    radius, depth = np.diag(found.left.covariance)
+    # The shift of a level rim is not beyond what noise would do, for which the outline's distance
+    # from its smooth curve is taken.
+    assert 0.9 * of_spans[0] < radius < of_spans[0] + bias[0] ** 2
+    assert depth == pytest.approx(of_spans[1] + bias[1] ** 2, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("egg", "radius", "depth"), [(600, 150, 30), (600, 250, 120), (2000, 200, 20)]
+)
+def test_uncertainty_covers_the_corner_of_a_rim(egg, radius, depth, noise):
+    """The profile (4.2) is level inside the rim, and an arc of a circle falls outside, µm."""
+    x = np.arange(-500.0, 501.0, 2.0)
+    arc = np.sqrt(egg**2 - x**2) - np.sqrt(egg**2 - radius**2)
+    inside = -dimple_profile(np.clip(abs(x), 25, radius), radius, depth, probe_half_width=25)
+    y = np.where(abs(x) < radius, inside, arc) / 2
+    y += np.random.default_rng(3).normal(0, noise, x.size)
+    found = dimple_from_outline(x / 2, y, pixel_size=2.0)
+    for dimple in (found.left, found.right):
+        errors = dimple.rim_radius - radius, dimple.dimple_depth - depth
+        assert (np.abs(errors) < 2.5 * np.sqrt(np.diag(dimple.covariance))).all()
 
 
 #: Closed outlines: heights of the part that returns below the dimple, number of the first point,
