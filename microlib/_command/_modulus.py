@@ -74,7 +74,8 @@ def run(a: argparse.Namespace, session: Session) -> End:
     low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(
-            f"{a.source}: the moduli of the two rims differ by more than their intervals; is the outline tilted?"
+            f"{a.source}: the moduli of the two rims differ by more than their intervals; "
+            "is the outline tilted?"
         )
     least, most = (f"modulus_{end}_over_models_MPa" for end in ("low", "high"))
     ends = min(left[least], right[least]), max(left[most], right[most])
