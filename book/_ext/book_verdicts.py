@@ -40,6 +40,8 @@ from compendium import MISSING, ROOT, ledger
 from compendium.tables import verdict_link
 
 CLAIMS = ROOT / "build" / "claims"
+#: The head of the column with the numbers of this book.
+FOUND = "Recomputed or simulated"
 #: The verdicts for a new reader.
 MEANINGS = {
     ledger.Verdict.CONTRADICTS: "printed numbers prove it wrong",
@@ -153,7 +155,7 @@ class Claims(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         chosen = every_entry()
-        head = ["Claim", "Thesis", "Recomputed", "Verdict", "Where"]
+        head = ["Claim", "Thesis", FOUND, "Verdict", "Where"]
         rows = [self.row(claim) for claim in chosen]
         result = table(head, rows, ids=[f"claim-{claim.id}" for claim in chosen])
         result["classes"].append("claims")
@@ -207,7 +209,7 @@ class LedgerTable(SphinxDirective):
             if not found:
                 raise self.error(f"no claim has an id that begins with {prefix}")
             rows += [self.row(claim) for claim in found]
-        head = ["The thesis reports", "Printed", "Recomputed", "Verdict", "It rests on"]
+        head = ["The thesis reports", "Printed", FOUND, "Verdict", "It rests on"]
         if all(row[1].astext() == "–" for row in rows):  # only sentences
             head, *rows = ([first, *others] for first, _, *others in (head, *rows))
         result = table(head, rows)
@@ -295,7 +297,7 @@ class Errata(SphinxDirective):
         result: list[nodes.Node] = []
         for name, entry in ledger.errata().items():
             proof = place_of_test(entry["test"], f'"{name}": (')
-            ways = f"{html_link('A test', *proof)} checks the proof."
+            ways = f"{html_link('Test', *proof)}."
             if claims := entry.get("claims", "").split():
                 rows = ledger.claims() | ledger.settings()
                 links = (html_link(rows[c].what, "claims", f"claim-{c}") for c in claims)

@@ -246,6 +246,7 @@ def saddle_ridge(gaussian_sign: int) -> bool:
 ROW_PRINTED = ("u*X", "v*Y", "v", "-u*X", "v*Y")
 ROW_RIGHT = ("v*X", "v*Y", "v", "-u*X", "-u*Y")
 PAIRS = [(1.5893, 1.5941), (6.3858, 6.3795), (1.6236, 1.6262), (6.4438, 6.4446)]
+FIRST, SECOND = (", ".join(map(str, quotients)) for quotients in zip(*PAIRS, strict=True))
 
 #: Each erratum's proof, and for the printed and the right form what stands in the entry and what
 #: the proof is given.
@@ -272,7 +273,7 @@ PROOFS: dict[str, tuple[Callable, tuple[str, object], tuple[str, object]]] = {
     "table-5.1-magnification": (
         magnifications,
         ("M = T_op/f = (T_op + f)/(f + d)", None),
-        (", ".join(f"{a:g} and {b:g}" for a, b in PAIRS), PAIRS),
+        (f"T_op/f is {FIRST}, and (T_op + f)/(f + d) is {SECOND}", PAIRS),
     ),
     "table-5.1-square-4X-Tz": (distance_of_the_plane, ("203610", 203610.0), ("36007.5", 36007.5)),
     "table-5.2-squares": (

@@ -16,7 +16,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("[0-9]*.ipynb"))
 GUIDES = [path for path in NOTEBOOKS if path.stem.startswith("07_guide_")]
 #: What has no unit, as an axis names it.
 PURE = {
-    "grey value", "step", "frame", "loop gain g", "recomputed / reported", "focus measure F",
+    "grey value", "step", "frame", "loop gain g", "recomputed / printed", "focus measure F",
     "focus measure / its maximum", "depth of the dimple / its radius",
 }  # fmt: skip
 CHAPTER_5 = ROOT / "notebooks" / "05_experimental_results.ipynb"
