@@ -166,9 +166,10 @@ def surface_curvature(
     Returns
     -------
     Curvature
-        ``mean`` (1/µm) and ``gaussian`` (1/µm²) with their standard uncertainties
-        ``mean_uncertainty`` and ``gaussian_uncertainty``, arrays of the shape of the map. The
-        values are NaN in a band of `size` − 1 pixels along the border and around every NaN.
+        ``mean`` (1/µm, negative on a dome) and ``gaussian`` (1/µm²) with their standard
+        uncertainties ``mean_uncertainty`` and ``gaussian_uncertainty``, arrays of the shape of the
+        map. The values are NaN in a band of `size` − 1 pixels along the border and around every
+        NaN.
 
     Raises
     ------
@@ -193,12 +194,13 @@ def surface_curvature(
 
     The uncertainties assume that the errors of neighboring heights are independent. Heights of
     `depth_from_focus` are smoothed with a Gaussian of σ = 7 px, so their errors are not independent
-    and the uncertainties are approximate. The uncertainty of a second derivative is `noise` times
-    the root of the sum of the squared window coefficients, divided by the square of the pixel size.
-    The uncertainty of H is computed to first order in the errors of the second derivatives, and the
-    uncertainty of K to second order, because the terms of first order vanish on a plane. Errors of
-    the first derivatives are neglected. Compared with errors of the second derivatives, their
-    effect is smaller by the ratio of the window size to the radius of curvature.
+    and the uncertainties are approximate: in tests on rendered planes, they exceeded the errors of
+    H. The uncertainty of a second derivative is `noise` times the root of the sum of the squared
+    window coefficients, divided by the square of the pixel size. The uncertainty of H is computed
+    to first order in the errors of the second derivatives, and the uncertainty of K to second
+    order, because the terms of first order vanish on a plane. Errors of the first derivatives are
+    neglected. Relative to errors of the second derivatives, their effect is about the window size
+    divided by the radius of curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same
@@ -454,7 +456,7 @@ def clean_labels(labels: ArrayLike, smallest: int) -> NDArray[np.uint8]:
 
 
 def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
-    """Return a table of the connected regions of one surface type, the largest first.
+    """Return a table of the connected regions, each of a single surface type, the largest first.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ __all__ = ["Microscope", "distort", "euler_rotation", "undistort"]
 
 
 def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
-    """Return Rz(α) Ry(β) Rx(γ), rotations by γ about x, then β about y, then α about z (2.6, 2.7).
+    """Return Rz(α) Ry(β) Rx(γ), which turns by γ about x, by β about y, by α about z (2.6, 2.7).
 
     Parameters
     ----------

@@ -220,7 +220,7 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 class BlurLadder:
-    """Blurred copies of an image, interpolated to apply any map of blur.
+    """Copies of an image with increasing blur, between which any map of blur is interpolated.
 
     It is faster than `defocus` if one image is defocused many times, as in a focal stack.
 

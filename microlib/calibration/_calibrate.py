@@ -99,8 +99,8 @@ def calibrate(
     ------
     ValueError
         If shapes disagree, if there are fewer than 5 points, if points lie on one line or outside
-        the image, or if no microscope fits the points. If views are to be left out, the error has
-        their numbers, counted from zero, in its attribute `views`.
+        the image, or if no microscope fits the points. If views must be left out, the attribute
+        `views` of the error contains their numbers, counted from zero.
 
     Notes
     -----
@@ -111,8 +111,8 @@ def calibrate(
     therefore starts from the f of the manufacturer. This function assumes, like the thesis, that
     the plane is in focus, d = f²/T_op (2.20). A given `focal_length` is kept fixed. Without
     `focal_length`, f is estimated, with an uncertainty that increases as the tilt decreases. If the
-    perspective is not significant, that is, if 1/(T_op + f) is less than four of its standard
-    deviations above zero, the attribute `undetermined` lists f and the angles of the tilt.
+    perspective is not significant, that is, if 1/(T_op + f) is less than four times its standard
+    deviation, the attribute `undetermined` lists f and the angles of the tilt.
 
     *Without the pixel pitch* an image determines neither the magnification M nor the focal length.
     It determines M divided by the pixel pitch, which is the scale in px/µm, and the principal
@@ -133,9 +133,9 @@ def calibrate(
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
-    these parameters end in the number of the view. Because the shared length T_op + f is equal to
-    f (1 + M), an estimated f differs between views of different M. The result contains the f of
-    the first view.
+    these parameters end in the number of the view. Because M = T_op/f in focus, the shared length
+    T_op + f is f (1 + M), and an estimated f differs between views of different M. The result
+    contains the f of the first view.
 
     With several views, three extensions of the model are tried. Each is kept if it lowers the
     Bayesian information criterion:
@@ -144,16 +144,16 @@ def calibrate(
       :func:`microlib.microscope.undistort`;
     - "principal_x" and "principal_y", the principal point in px from the middle of the image. A
       single view has its principal point in the middle, as in the thesis;
-    - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. It
-      is kept only if it differs from 1 by more than 0.003.
+    - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. In
+      addition, it must differ from 1 by more than 0.003.
 
-    *A print that is not square*, as many printers make it, is reported by `print_aspect`, if the
-    stretch explains at least half of the squared residuals of several views. Measure the print
+    *A stretched print*: many printers stretch the pattern in one direction. `print_aspect` reports
+    this if it explains at least half of the squared residuals of several views. Measure the print
     along both directions, and give both numbers as `pitch`.
 
-    *Inconsistent views*, such as a grating in the background or a mirrored print, are listed by
-    `inconsistent`, or by the error if no fit is possible. They contradict the largest set of views
-    that agree on one lens. Leave them out.
+    *Inconsistent views*: `inconsistent` lists views that contradict the largest set of views that
+    agree on one lens, such as a grating in the background or a mirrored print. If no fit is
+    possible, the error lists these views. Leave them out.
 
     *Sign of the tilt.* Without perspective, the tilts (β, γ) and (−β, −γ) would give the same
     image. The fit is made with both pairs of angles. If the residuals do not show which pair is

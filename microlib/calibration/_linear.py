@@ -90,7 +90,7 @@ def _euler_angles(block: Array) -> Array:
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:
-    """Return magnification, distortion and inverse distance of the plane from a known pose.
+    """Return, from a known pose, the magnification, distortion and inverse distance of the plane.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def modulus_from_image(
     poisson_ratio: float,
     direction: str = "auto",
 ) -> ImageEstimate:
-    """Compute the elastic modulus of an egg shell (chorion) from one image of its dimple.
+    """Compute the elastic modulus of the shell (chorion) of an egg from one image of its dimple.
 
     The function fits the profile (4.2) to the dimple (`fit_dimple`) and computes the modulus by
     (5.2).
@@ -139,7 +139,7 @@ def modulus_from_image(
     Parameters
     ----------
     image : array_like, shape (rows, columns)
-        Grey or color image of an embryo under a probe that enters through one edge of the image.
+        Grey or color image of the egg under a probe that enters through one edge of the image.
     force : float
         Force F of the probe, in µN.
     pixel_size : float

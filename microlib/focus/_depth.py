@@ -42,7 +42,7 @@ def depth_from_focus(
     reduce: int = 1,
     progress: Progress | None = None,
 ) -> FocusResult:
-    """Return the depth of every pixel of a focal stack.
+    """Return the depth (height) of each pixel of a focal stack, NaN where it is not determined.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def depth_from_focus(
         Side of the square blocks of pixels that are averaged to one pixel, for a quick preview.
     progress : callable, optional
         Function that is called with the number of finished parts of the work and the number of all
-        parts. Reading, registration, the depth and the all-in-focus image have as many parts each
+        parts. Reading, registration, the depth and the all-in-focus image each count as many parts
         as there are frames. An exception from the function ends the work.
 
     Returns
@@ -93,10 +93,10 @@ def depth_from_focus(
     ------
     ValueError
         If there are fewer than three frames, or a file cannot be read. If frames differ in size or
-        type, are no images, or differ in time or channel instead of focus. If a value is not finite
-        or exceeds ±10¹⁰. If the positions are not known, not finite, not strictly monotonic, or not
-        as many as the frames. If an option is out of range or does not apply to the measure. With
-        `register`, if fewer than half of the frames show the same scene.
+        type, are not images, or differ in time or channel instead of focus. If a value is not
+        finite or exceeds ±10¹⁰. If the positions are not known, not finite, not strictly monotonic,
+        or not as many as the frames. If an option is out of range or does not apply to the measure.
+        With `register`, if fewer than half of the frames show the same scene.
 
     Warns
     -----
@@ -110,8 +110,8 @@ def depth_from_focus(
     "multiscale" assumes that the object has texture, and that the focus measure of a pixel is
     nearly a Gaussian function of the distance of the pixel from focus. The second assumption
     follows from (3.9) if the blur is proportional to this distance. Chapter 3 of the book explains
-    the stages of "multiscale". Except at steps of the surface, the depth is smoothed by planes
-    whose weights are a Gaussian of σ = 7 px, so the errors of neighboring pixels are correlated. A
+    the stages of "multiscale". Except at steps of the surface, the depth is smoothed by fitting
+    planes with Gaussian weights (σ = 7 px), so the errors of neighboring pixels are correlated. A
     depth is NaN where a peak cannot be distinguished from noise, where different focus measures
     contradict each other, and in small isolated regions.
 
@@ -123,17 +123,17 @@ def depth_from_focus(
     peak deviates from a Gaussian. In a test with a lens that was moved by a focus ring, this bias
     was 0.6 frame spacings, nearly the same for all pixels. At a step, the uncertainty also accounts
     for the possibility that the pixel lies on the other side. Where a peak is only slightly clearer
-    than noise, the pixel keeps its depth, but its uncertainty is larger, up to that of a random
-    depth between the first and the last frame. The uncertainty of a random depth is the distance of
-    these frames divided by √12. On a photographed board the stated uncertainty was several times
-    larger than the error.
+    than noise, the pixel keeps its depth, but the uncertainty is larger, up to that of a random
+    depth: the distance of the first and the last frame, divided by √12. On a photographed board,
+    the depths from two halves of the frames differed by far less than the stated uncertainty; the
+    true depths are not known.
 
     Depths may be wrong and have a small stated uncertainty in these cases:
 
-    - Surfaces without texture. In tests with six kinds of noise, the mean share of such pixels was
-      at most 2 %. In single stacks of JPEG frames the share was larger.
-    - Objects that are narrow in the image. In tests with bars of a width of 4 to 10 px, the share
-      of such pixels was below 5 %. On narrower bars the share is larger.
+    - Surfaces without texture. In tests with six kinds of noise, this happened at 2 % of the pixels
+      or fewer on average, and at more in single stacks of JPEG frames.
+    - Objects that are narrow in the image. In tests with bars of a width of 4 to 10 px, this
+      happened at less than 5 % of the pixels. On narrower bars the share is larger.
 
     If the sharpest frame of a pixel is the first or the last frame, the pixel is flagged in
     `at_end`. Its depth is the position of that frame, or the peak that "multiscale" fits. If this

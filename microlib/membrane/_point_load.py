@@ -298,7 +298,7 @@ def membrane_stress(
     thickness: ArrayLike,
     probe_half_width: ArrayLike,
 ) -> Array:
-    r"""Return the uniform stress of the dimple's membrane, (4.3) solved for :math:`\sigma_d`.
+    r"""Return the uniform stress of the dimple's membrane, (4.3) solved for the stress.
 
     With this stress the membrane and the pressure balance the force on every circle (4.1).
 

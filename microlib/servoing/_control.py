@@ -86,7 +86,7 @@ def optimal_control(
     feature_weight: ArrayLike,
     control_weight: ArrayLike,
 ) -> Array:
-    r"""Return the velocity that minimizes the one-step cost (2.27), which is (2.28).
+    r"""Return the velocity (2.28), which minimizes the one-step cost (2.27).
 
     The features follow f(k+1) = f(k) + T J u(k) (2.26).
 

@@ -85,7 +85,7 @@ class CameraTiming:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Simulation(FlatResult):
-    """Result of `simulate`, with one row per frame and a first axis for several runs.
+    """Result of `simulate`: arrays with one row per frame, and a first axis for several runs.
 
     Attributes
     ----------

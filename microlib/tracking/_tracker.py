@@ -38,17 +38,18 @@ class ESMTracker:
     Efficient second-order minimization (ESM) [1]_ [2]_ aligns the template with each frame,
     starting from the expected pose. The template is then divided into blocks, which are compared
     with the frame. If too many blocks differ by more than the noise, the alignment is continued
-    with a model of varying light, blur and tone curve, in which Tukey's weights [3]_ reduce the
-    influence of hidden parts. If this result is not accepted, further attempts start from other
-    poses. Chapter 2 of the book explains the attempts.
+    with a model of changes of light, blur and the curve of grey levels. Hidden parts get less
+    weight, by Tukey's function [3]_. If this result is not accepted, further attempts start from
+    other poses. Chapter 2 of the book explains the attempts.
 
     The first result whose estimated probability of being right is at least 0.7, and whose position
     is unambiguous, is accepted. If there is no such result, the template is reported as lost. In
     the following frames, a lost template is searched for in the whole frame, or, with a Kalman
     filter, near the predicted position.
 
-    A visible template may be reported as lost in these cases:
+    A visible template may be reported as lost, for example in these cases:
 
+    - A large part of the template is hidden or covered by a reflection.
     - Another object in the frame resembles the template.
     - The template contains an object and textured ground that moves differently (``"two
       motions"``). What moves with the surroundings of the box counts as ground and is not followed.
@@ -72,8 +73,8 @@ class ESMTracker:
         region in which a lost template is searched for. By default a search starts at the last
         accepted pose.
     mask : array_like, shape (H, W), optional
-        True or not 0 where the frame shows the object. Only these pixels of the box are tracked. By
-        default all pixels of the box are used.
+        Not 0 (or True) where the frame shows the object. Only these pixels of the box are tracked.
+        By default all pixels of the box are used.
 
     Attributes
     ----------
@@ -83,9 +84,9 @@ class ESMTracker:
     Raises
     ------
     ValueError
-        If the box extends beyond the image or is smaller than 6 px. If the position of the template
-        is undetermined, because it has no texture or texture in one direction only. If the texture
-        is so fine that the smoothing before the alignment removes it.
+        If the box extends beyond the image or has a side below 6 px. If the position of the
+        template is undetermined, because it has no texture or texture in one direction only. If the
+        texture is so fine that the smoothing before the alignment removes it.
 
     References
     ----------
