@@ -455,6 +455,12 @@ def describe_scenes(seed: int, runs: int) -> dict[str, pd.DataFrame]:
     return {scenes: pd.DataFrame(found) for scenes, found in rows.items()}
 
 
+def cylindric_tops(*, corrected: bool) -> list[int]:
+    """Return the whole radii (px) of balls whose top gets the label of a cylinder."""
+    balls = {radius: sphere_on_plane((131, 131), float(radius), 1.0) for radius in range(2, 41)}
+    return [r for r, ball in balls.items() if thesis_labels(ball, corrected=corrected)[65, 65] == 2]
+
+
 def with_corrected_window(
     mapped: pd.DataFrame, scenes: dict[str, pd.DataFrame]
 ) -> dict[str, float]:
@@ -470,6 +476,8 @@ def with_corrected_window(
         found[f"crest-most-{window}"] = crest["crest-convex-cylindric"].max()
         sides = mapped.loc[mapped["window"] == window].query("noise <= @RIDGE_NOISE")
         found[f"sides-least-{window}"] = sides["sides-planar"].min()
+        cylinders = cylindric_tops(corrected=window == "corrected")
+        found |= {f"ball-first-{window}": cylinders[0], f"ball-last-{window}": cylinders[-1]}
     wider = usual[(usual["window"] == "corrected") & (usual["width"] == 60)]
     found["all-corrected-60"] = int(wider["all"].sum())
     smooth, rough = (
