@@ -5,6 +5,7 @@ from microlib._common._checks import (
     as_array,
     as_choice,
     as_generator,
+    as_instance,
     as_integer,
     as_map,
     as_positive,

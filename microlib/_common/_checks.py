@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 from operator import ge, gt, le, lt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -167,6 +168,13 @@ def as_choice(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value` if it is one of the `known` names."""
     if not isinstance(value, str) or value not in known:
         raise ArgumentError(name, f"must be one of {', '.join(known)}, got {value!r:.80}")
+    return value
+
+
+def as_instance(name: str, value: object, kind: type) -> Any:
+    """Return `value` if it is of the `kind`, which may be ``Callable``."""
+    if not isinstance(value, kind):
+        raise ArgumentError(name, f"must be of type {kind.__name__}, got {value!r:.80}")
     return value
 
 

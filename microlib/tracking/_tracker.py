@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import partial
 
 import numpy as np
@@ -13,6 +14,7 @@ from microlib._common import (
     as_array,
     as_choice,
     as_image,
+    as_instance,
     as_region,
     luminance,
 )
@@ -70,8 +72,8 @@ class ESMTracker:
         Kind of transformation between the template and a frame.
     kalman : KalmanFilter, optional
         Filter that predicts where the search in each frame starts. The filter also limits the
-        region in which a lost template is searched for. By default a search starts at the last
-        accepted pose.
+        region in which a lost template is searched for. The tracker uses a copy, so that the filter
+        can serve for other films. By default a search starts at the last accepted pose.
     mask : array_like, shape (H, W), optional
         Not 0 (or True) where the frame shows the object. Only these pixels of the box are tracked.
         By default all pixels of the box are used.
@@ -79,7 +81,7 @@ class ESMTracker:
     Attributes
     ----------
     kalman : KalmanFilter or None
-        The filter, which may be exchanged between two frames.
+        The copy of the filter, which may be exchanged between two frames; it is copied again.
 
     Raises
     ------
@@ -136,7 +138,8 @@ class ESMTracker:
         contrast = float(frame[y : y + height, x : x + width].std(dtype=np.float64))
         self._grey_scale = np.float32(2.0 ** (5 - np.floor(np.log2(contrast))) if contrast else 1)
         frame = frame * self._grey_scale
-        self._shape, self.kalman, self._seen, self._parted = frame.shape, kalman, True, False
+        self._shape, self._seen, self._parted = frame.shape, True, False
+        self.kalman = kalman
         size = max(width, height) / 2
         self._start = np.array(
             [[size, 0, x + (width - 1) / 2], [0, size, y + (height - 1) / 2], [0, 0, 1.0]]
@@ -169,6 +172,16 @@ class ESMTracker:
             mask=weight,
         )
         self._last = Sighting(frame, self._pose)
+
+    @property
+    def kalman(self) -> KalmanFilter | None:
+        return self._kalman
+
+    @kalman.setter
+    def kalman(self, kalman: KalmanFilter | None) -> None:
+        if kalman is not None:
+            kalman = deepcopy(as_instance("kalman", kalman, KalmanFilter))
+        self._kalman = kalman
 
     def track(self, frame: ArrayLike) -> Track:
         """Find the template in the next frame.

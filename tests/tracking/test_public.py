@@ -81,7 +81,7 @@ CALLS = {
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 FILM = {
     "frames": no_map, "box": no_array, "motion": NO_TEXT, "rate": NOT_POSITIVE,
-    "pixel_size": [*BROKEN, 0, -1],
+    "pixel_size": [*BROKEN, 0, -1], "kalman": [5, "kalman"],
 }  # fmt: skip
 #: What is refused in place of each argument.
 REFUSED = {
