@@ -198,3 +198,9 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     assert against.get_ylabel() == f"displacement from the start ({'µm' if micrometers else 'px'})"
     own, ax = pyplot.subplots()
     assert plot_track(table[1:3], image, ax) is own
+    for wrong in (table[["center_x", "center_y", "lost"]], table.iloc[1], None):
+        with pytest.raises(ValueError, match="table must be that of a track, with its"):
+            plot_track(wrong, image)
+    for wrong in (image[None].repeat(4, axis=0), image[0], "image"):
+        with pytest.raises(ValueError, match=r"image must (be one image|hold real)"):
+            plot_track(table, wrong)

@@ -16,7 +16,7 @@ from microlib._common._checks import (
     reject_masks,
 )
 from microlib._common._files import SOFTWARE, home_path, replace_file
-from microlib._common._images import as_image, as_image_shape, as_region, luminance
+from microlib._common._images import as_image, as_image_shape, as_picture, as_region, luminance
 from microlib._common._least_squares import (
     TUKEY_LIMIT,
     NormalEquations,

@@ -30,6 +30,14 @@ def luminance(name: str, value: ArrayLike) -> NDArray:
     return image
 
 
+def as_picture(name: str, value: ArrayLike) -> NDArray[np.float32]:
+    """Return a grey image (rows, cols), or one in color (rows, cols, 3 or 4), as float32."""
+    image = as_array(name, value, dtype=np.float32)
+    if image.ndim != 2 and (image.ndim != 3 or image.shape[2] not in (3, 4)):
+        raise ArgumentError(name, f"must be one image, grey or in color, got shape {image.shape}")
+    return image
+
+
 def as_region(
     name: str, value: object, shape: tuple[int, ...] | None = None, *, least: int = 1
 ) -> Region:

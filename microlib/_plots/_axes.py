@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from microlib._common import as_picture
+
 #: Colors of results, references and errors, distinct on grey and for color-blind readers.
 FOUND, BESIDE, OFF = "#ffb000", "#56b4e9", "#e0245e"
 
@@ -33,7 +35,7 @@ def new_axes(rows: int, columns: int, width: float, height: float) -> Any:
 
 def show_image(ax: Any, image: NDArray) -> None:
     """Show a photograph in the range of its own grey levels, without axes of its own."""
-    levels = np.asarray(image, dtype=np.float32)
+    levels = as_picture("image", image)
     low, high = levels.min(), levels.max()
     grey = np.uint8(255 * (levels - low) / (high - low or 1))
     ax.imshow(grey, cmap="gray", vmin=0, vmax=255, origin="upper")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import as_array, as_image, as_scalar, luminance
+from microlib._common import as_image, as_picture, as_scalar, luminance
 from microlib._plots import path
 from microlib.tracking._kalman import KalmanFilter
 from microlib.tracking._tracker import ESMTracker
@@ -187,7 +187,8 @@ def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
     Raises
     ------
     ValueError
-        If the table is not that of a track, or the template is lost in all of its frames.
+        If the table is not that of a track, the image is not one frame, or the template is lost in
+        all of its frames.
 
     Examples
     --------
@@ -199,8 +200,11 @@ def plot_track(table: pd.DataFrame, image: ArrayLike, ax: Any = None) -> Any:
     >>> [ax.get_title() for ax in figure.axes][0]
     'path on the first frame'
     """
-    if not {"center_x", "center_y", "lost"} <= set(getattr(table, "columns", ())):
-        raise ValueError(f"table must be that of a track, got {type(table).__name__}")
+    columns = [str(name) for name in getattr(table, "columns", ())]
+    corners = [name for name in columns if name.startswith("corners_")]
+    if not {"center_x", "center_y", "lost"} <= set(columns) or len(corners) != 8:
+        problem = "must be that of a track, with its center, lost and corners"
+        raise ValueError(f"table {problem}, got {type(table).__name__}")
     if table["lost"].all():
         raise ValueError(f"table must show the template, which is lost in all {len(table)} frames")
-    return path(table, as_array("image", image, dtype=np.float32), ax)
+    return path(table, as_picture("image", image), ax)
