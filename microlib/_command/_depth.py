@@ -107,12 +107,11 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("summary.json", text(json.dumps(summary, indent=2)))
     session.write("look.png", picture(result.plot))
     session.say(result)
-    finite = np.isfinite(result.depth)
-    if not finite.any():
+    if not summary["known"]:
         session.note("no height is known: frames must differ in focus and show texture")
-    elif (share := result.at_end[finite].mean()) > 0.1:
+    elif (share := summary["at_end"]) > 0.1:
         session.note(f"{share:.0%} of the heights are at the first or last frame, or outside")
-    elif np.median(result.uncertainty[finite]) > abs(scales["spacing"] or 1):
+    elif summary["uncertainty_median"] > abs(scales["spacing"] or 1):
         session.note("the uncertainty exceeds the spacing: are the frames in order of focus?")
     if a.register == "auto" and result.warps is None:
         session.say(

@@ -93,12 +93,12 @@ class FocusResult(FlatResult):
         dict
             ``rows`` and ``columns``; ``known``, the share of pixels that have a depth; least,
             median and largest depth, median and largest uncertainty, None where nothing is known;
-            ``unit``, that of these five; ``at_end``, the share of pixels that are sharpest in an
-            end frame; ``registered``, whether the stack was registered.
+            ``unit``, that of these five; ``at_end``, the share of the pixels with a depth that are
+            sharpest in an end frame; ``registered``, whether the stack was registered.
         """
         known = np.isfinite(self.depth)
-        maps = (values[known] for values in (self.depth, self.uncertainty))
-        depth, error = (values if known.any() else np.full(1, np.nan) for values in maps)
+        maps = (values[known] for values in (self.depth, self.uncertainty, self.at_end))
+        depth, error, ends = (values if known.any() else np.full(1, np.nan) for values in maps)
         return flat_row(
             {
                 "rows": self.depth.shape[0],
@@ -110,7 +110,7 @@ class FocusResult(FlatResult):
                 "uncertainty_median": np.median(error),
                 "uncertainty_largest": error.max(),
                 "unit": self.unit,
-                "at_end": self.at_end.mean(),
+                "at_end": ends.mean(),
                 "registered": self.warps is not None,
             }
         )
