@@ -222,7 +222,7 @@ class LedgerTable(SphinxDirective):
         told = [line(f"{claim.what}{place}.")]
         if claim.says and (claim.condition or not claim.printed):
             told = [line(_sentence(claim.says + place))]
-            told += [line(f"Recomputed: {claim.what}.")] if claim.compared else []
+            told += [line(f"Our number: {claim.what}.")] if claim.compared else []
         number = span(printed(claim) if claim.printed else "–", "printed")
         found = cell_link(self.env, claim.id) if claim.compared else nodes.Text("–")
         rests = grounds(claim)
