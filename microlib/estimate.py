@@ -49,6 +49,8 @@ class Estimate(FlatResult):
         return self.low, self.high
 
     def __str__(self) -> str:
+        if np.isnan(self.value):
+            return "not determined"
         # Two digits of the uncertainty; six digits where it is unknown or tiny.
         known = np.isfinite(self.uncertainty) and self.uncertainty > 0
         digits = 1 - int(np.floor(np.log10(self.uncertainty))) if known else 0

@@ -115,16 +115,15 @@ def _detect(session: Session, source: Sequence[str], pattern: str) -> Views:
 
 
 def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> None:
-    """Note what to do about a calibration that is worth little."""
+    """Note what to do about a calibration that is worth little, whose summary states why."""
     shares = [
         np.ptp(found.points, axis=0).prod() / np.prod(found.image_size)
         for _, found in views.values()
     ]
     if max(shares) < 0.05:
         session.note("the grid covers less than 5 % of the image: let it fill the image")
-    if result.aspect_note:
-        advice = "; measure it, and give --pitch and --pitch-y" * (result.print_aspect != 1)
-        session.note(result.aspect_note + advice)
+    if result.print_aspect != 1:
+        session.note("measure the print, and give --pitch and --pitch-y: it is not square")
     if "beta" in result.undetermined and (tilt := result.microscope.tilt) > np.deg2rad(10):
         session.note(
             f"in one direction the marks are {1 / np.cos(tilt):.3f} times as far apart as in the "
@@ -145,16 +144,11 @@ def _advise(session: Session, result: Any, views: Views, focal_given: bool) -> N
             f"{photo.name} {size:.2g} px"
             for size, photo in sorted(zip(rms, views, strict=True))[::-1]
         ]
-        session.note(
-            f"the model does not fit the points: residuals are {result.reprojection.rms:.2g} px or "
-            f"{result.plane_error.rms:.2g} µm rms, largest in {', '.join(worst[:3])}; the stated "
-            f"interval of the pixel size is therefore {result.widening:.2g} times as wide as from "
-            f"noise alone; {suspects}"
-        )
+        session.note(f"residuals are larger than noise, most in {', '.join(worst[:3])}; {suspects}")
     if np.isnan(result.lack_of_fit):
-        session.note("too few marks to test whether the model fits: intervals contain only noise")
+        session.note("photograph more marks: intervals contain only noise")
     if result.um_per_pixel.high == np.inf:
         session.note("the pixel size has no upper limit: photograph more marks over more area")
     elif result.undetermined:
         names = ", ".join(result.undetermined)
-        session.note(f"{names}: undetermined; give --focal-length, or tilt the pattern by 20°")
+        session.note(f"give --focal-length, or tilt the pattern by 20°, to determine {names}")

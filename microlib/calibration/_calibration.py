@@ -135,15 +135,17 @@ class Calibration(Result):
         if self.inconsistent:
             numbers = ", ".join(str(view + 1) for view in self.inconsistent)
             lines.append(f"  inconsistent, to be left out: view {numbers}, counted from 1")
-        if self.aspect_note:
-            remedy = "; pitch must be the distances of marks along both directions of the pattern"
-            lines.append(f"  {self.aspect_note}{remedy * (self.print_aspect != 1)}")
+        pixel = self.parameters.get("pixel_aspect")
+        if self.print_aspect != 1:
+            remedy = "pitch must be the distances of marks along both directions of the pattern"
+            lines.append(f"  the print is not square: ratio {self.print_aspect:.4f}; {remedy}")
+        elif pixel and not pixel.low <= 1 <= pixel.high:
+            lines.append(f"  the pixels or the print are not square: ratio {pixel}")
         if not self.adequate:
             lines.append(
-                f"  the model is not adequate: residuals of {self.reprojection.rms:.2g} px "
-                f"({self.plane_error.rms:.2g} µm) rms, lack of fit {self.lack_of_fit:.3g}; "
-                f"the interval of the pixel size is {self.widening:.2g} times as wide "
-                "as from noise alone"
+                f"  the model is not adequate: lack of fit {self.lack_of_fit:.3g}, error in the "
+                f"pattern's plane {self.plane_error.rms:.2g} µm rms; the interval of the pixel "
+                f"size is {self.widening:.2g} times as wide as from noise alone"
             )
         elif np.isnan(self.lack_of_fit):
             lines.append("  too few marks to test whether the model is adequate")
@@ -153,14 +155,6 @@ class Calibration(Result):
         """Whether the points determine both angles of the tilt of a view, with their sign."""
         ending = f"_{view + 1}" if view else ""
         return not {f"beta{ending}", f"gamma{ending}"} & set(self.undetermined)
-
-    @property
-    def aspect_note(self) -> str:
-        """What is not square, with its ratio; empty if nothing is."""
-        if self.print_aspect != 1:
-            return f"the print is not square: ratio {self.print_aspect:.4f}"
-        pixel = self.parameters.get("pixel_aspect")
-        return f"the pixels or the print are not square: ratio {pixel}" if pixel else ""
 
     @property
     def adequate(self) -> bool:

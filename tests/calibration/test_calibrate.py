@@ -21,6 +21,7 @@ from microlib.calibration import (
     linear_intrinsics,
     radial_alignment,
 )
+from microlib.estimate import Estimate
 from microlib.microscope import Microscope
 from tests.scenes.calibration import (
     SCOPE,
@@ -300,6 +301,7 @@ def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise
         assert found.microscope.focal_length < 1.001e9
         assert found.reprojection.rms < 1e-8 + 1.5 * noise
         assert "tilt" not in repr(found)
+        assert "focal length not determined" in repr(found)
         camera = json.loads(found.to_json())["opencv"]
         assert not any(np.ravel(camera[name]).any() for name in camera if "image" not in name)
         given = calibrate(worlds, image, focal_length=f, **SENSOR)
@@ -514,6 +516,10 @@ def test_aspect_ratio_of_pixels_is_fitted_and_named(pixel_pitch):
     assert found.adequate
     assert np.median(found.held_out) < 1.2 * NOISE * np.sqrt(2)
     assert "the pixels or the print are not square: ratio 1.0" in repr(found)
+    unsure = Estimate(1.03, 0.02, 0.99, 1.07, "")  # the interval contains square pixels
+    assert "square" not in repr(
+        replace(found, parameters={**found.parameters, "pixel_aspect": unsure})
+    )
     hold_residuals(found, world, image)
     height = json.loads(found.to_json())["imagej"]["pixel_height"]
     assert height / found.um_per_pixel.value == pytest.approx(ratio * (1 - given), rel=1e-4)
