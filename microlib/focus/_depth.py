@@ -176,10 +176,11 @@ def depth_from_focus(
 
     used, kept, registration = _usable_frames(grey, margin, register, partial(finish, 1))
     done = partial(finish, stages - 2)
+    z, origin = z[kept] - z[0], float(z[0])  # float32 has digits to spare near zero only
     if single is None:
-        found = multiscale.multiscale_depth(used, z[kept], workers=threads, done=done)
+        found = multiscale.multiscale_depth(used, z, workers=threads, done=done)
     else:
-        found = three_point_depth(used, z[kept], single, done)
+        found = three_point_depth(used, z, single, done)
     if margin.any():
         warnings.warn("frames have black margins: no depth there", stacklevel=2)
     known = ((k, image) for k, image in enumerate(colors or grey) if k in kept)
@@ -188,8 +189,9 @@ def depth_from_focus(
     return build_result(
         found,
         images,
-        replace(source, positions=z[kept]),
+        replace(source, positions=z),
         kept,
+        origin=origin,
         registration=registration,
         margin=margin,
         done=partial(finish, stages - 1),

@@ -25,7 +25,8 @@ class FocusResult(FlatResult):
     Attributes
     ----------
     depth : ndarray of float32, shape (rows, cols)
-        Position at which the pixel is sharpest, µm; NaN where it cannot be determined.
+        Position at which the pixel is sharpest, µm; NaN where it cannot be determined. It is of
+        float64 where float32 would round it to more than a thousandth of the frame spacing.
     uncertainty : ndarray of float32, shape (rows, cols)
         Standard deviation of the depth, µm; NaN where `depth` is. With "multiscale" it covers noise
         and relief that cannot be separated from noise (from the difference of the depths by
@@ -64,7 +65,7 @@ class FocusResult(FlatResult):
         Unit of the depth and of its uncertainty.
     """
 
-    depth: NDArray[np.float32]
+    depth: Array
     uncertainty: NDArray[np.float32]
     confidence: NDArray[np.float32]
     index: NDArray[np.int32]
@@ -138,6 +139,7 @@ def build_result(
     stack: Stack,
     numbers: NDArray[np.intp],
     *,
+    origin: float,
     registration: Registration | None,
     margin: NDArray[np.bool_],
     done: Callable[[float], object],
@@ -155,6 +157,8 @@ def build_result(
         Their positions, pixel size and type.
     numbers : ndarray of int, shape (n,)
         Number of each of these frames in the source, from which frames may be left out.
+    origin : float
+        Where the depths and positions are zero, µm; the result has no origin of its own.
     registration : Registration or None
         Where the frames were before.
     margin : ndarray of bool, shape (rows, cols)
@@ -184,8 +188,10 @@ def build_result(
     confidence = np.square(uncertainty / np.float32(found.spacing))
     np.divide(1, confidence + 1, out=confidence)
     confidence[~known] = 0
+    largest = np.float32(np.abs(z + origin).max())
+    exact = np.float64 if np.spacing(largest) > found.spacing / 1000 else np.float32
     return FocusResult(
-        depth=depth,
+        depth=np.add(depth, origin, dtype=np.float64).astype(exact),
         uncertainty=uncertainty,
         confidence=confidence,
         index=np.where(known, numbers.astype(np.int32)[index], np.int32(-1)),

@@ -24,7 +24,7 @@ from microlib.focus.common import (
 )
 
 
-def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArray[np.float32]:
+def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> Array:
     """Return the depth at the peak of the Gaussian through the best frame and its two neighbors.
 
     Parameters
@@ -38,7 +38,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
 
     Returns
     -------
-    ndarray of float32, shape (rows, cols)
+    ndarray of float64, shape (rows, cols)
         Depth, µm. NaN where the three measures are equal or zero; the position of the frame itself
         where the best is the first or the last, and NaN if its one neighbor is not below it.
 
@@ -88,7 +88,7 @@ def three_point_peak(window: NDArray, index: NDArray, positions: Array) -> NDArr
     beside = np.where(index == 0, third, first)
     depth = z[index] + np.where(ends, 0, np.where(np.isfinite(shift), shift, np.nan))
     known = (best > 0) & (~ends | (best > beside))
-    return np.where(known, depth, np.nan).astype(np.float32)
+    return np.where(known, depth, np.nan)
 
 
 class TrackedPeaks(NamedTuple):
@@ -138,7 +138,7 @@ def three_point_depth(
 ) -> DepthMap:
     """Return the depth at the three-point peaks of one measure, (3.13)."""
     peaks = track_peaks(frames, measure, done)
-    depth = three_point_peak(peaks.window, peaks.best, positions)
+    depth = three_point_peak(peaks.window, peaks.best, positions).astype(np.float32)
     significance = peak_significance(peaks.profiles, peaks.window[1], 3)
     depth[significance.insignificant] = np.nan
     spacing = float(np.median(np.abs(np.diff(positions))))
