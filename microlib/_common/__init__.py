@@ -10,6 +10,7 @@ from microlib._common._checks import (
     as_map,
     as_positive,
     as_scalar,
+    as_symmetric,
     as_tuple,
     check_same_length,
     positive_scalars,

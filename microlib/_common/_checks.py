@@ -98,6 +98,19 @@ def check_bounds(
             raise ArgumentError(name, f"must be {special.get(need, need)}, got {value:g}")
 
 
+def as_symmetric(name: str, value: ArrayLike, size: int, *, definite: bool = False) -> Array:
+    """Return a covariance, or NaN where unknown; if `definite` every eigenvalue is above zero."""
+    matrix = as_array(name, value, shape=(size, size), finite=definite)
+    if np.isfinite(matrix).all():
+        if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max():
+            raise ArgumentError(name, "must be symmetric")
+        values = np.linalg.eigvalsh(matrix)
+        if values[0] <= 0 if definite else values[0] < -1e-9 * values[-1]:
+            kind = "definite" if definite else "semidefinite"
+            raise ArgumentError(name, f"must be positive {kind}, got the eigenvalue {values[0]:g}")
+    return matrix
+
+
 def as_map(name: str, value: ArrayLike) -> Array:
     """Return a map of shape (rows, cols) whose values are finite, or NaN where unknown."""
     array = as_array(name, value, shape=(None, None), finite=False)

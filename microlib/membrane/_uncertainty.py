@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microlib._common import Array, as_array, as_generator, as_integer, as_scalar
+from microlib._common import Array, as_generator, as_integer, as_scalar, as_symmetric
 from microlib.membrane._point_load import (
     annulus,
     check_inputs,
@@ -51,7 +51,8 @@ def modulus_uncertainty(
     ------
     ValueError
         If a name is missing or unknown, a standard deviation is negative, a value is out of range,
-        or the errors of radius and depth are given twice.
+        `dimple_covariance` is not symmetric or has a negative eigenvalue, or the errors of radius
+        and depth are given twice.
 
     See Also
     --------
@@ -194,6 +195,5 @@ def _check_errors(
             raise ValueError(
                 f"uncertainties must not repeat what dimple_covariance contains, got {twice}"
             )
-        both = as_array("dimple_covariance", dimple_covariance, shape=(2, 2), finite=False)
-        covariance[1:3, 1:3] = both
+        covariance[1:3, 1:3] = as_symmetric("dimple_covariance", dimple_covariance, 2)
     return inputs, covariance

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, as_integer, as_positive, as_scalar, check_same_length
+from microlib._common import (
+    Array,
+    as_array,
+    as_integer,
+    as_positive,
+    as_scalar,
+    as_symmetric,
+    check_same_length,
+)
 
 
 def point_jacobian(
@@ -313,11 +321,4 @@ def full_rank(jacobian: ArrayLike, shape: tuple[int | None, ...] = (None, None))
 
 def _weight(name: str, value: ArrayLike, size: int) -> Array:
     weight = as_array(name, value)
-    matrix = np.diag(weight) if weight.ndim == 1 else weight
-    matrix = as_array(name, matrix, shape=(size, size))
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-        raise ValueError(f"{name} must be symmetric")
-    least = float(np.linalg.eigvalsh(matrix)[0])
-    if least <= 0:
-        raise ValueError(f"{name} must be positive definite, got the eigenvalue {least:g}")
-    return matrix
+    return as_symmetric(name, np.diag(weight) if weight.ndim == 1 else weight, size, definite=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from microlib._common import Array
+from microlib._common import Array, as_symmetric
 from microlib.servoing._devices import EndRun, wait_until_still
 from microlib.servoing._motion import (
     MOST_RELATIVE_ERROR,
@@ -189,7 +189,7 @@ class Loop:
             return Observation(row, position, np.full(2, np.nan), np.full((2, 2), np.nan))
         measured = np.asarray(track.center, dtype=float)
         put(row, "measured", measured, "px")
-        covariance = np.asarray(getattr(track, "covariance", np.zeros((2, 2))), dtype=float)
+        covariance = as_symmetric("covariance", getattr(track, "covariance", np.zeros((2, 2))), 2)
         return Observation(row, position, measured, covariance)
 
     def _report(self, observation: Observation) -> None:

@@ -116,7 +116,10 @@ REFUSED = {
             Wrong({"force": np.nan}, "force"),
             *(Wrong({name: 1.0}, "dimple_covariance") for name in ("rim_radius", "dimple_depth")),
         ],
-        "dimple_covariance": lambda valid: [*no_map(valid), np.eye(3)],
+        "dimple_covariance": lambda valid: [
+            *(*no_map(valid), np.eye(3), -np.eye(2), [[1.0, 5.0], [5.0, 1.0]]),
+            [[1.0, 0.2], [0.9, 1.0]],
+        ],
     },
     membrane.modulus_samples: {
         "rng": NEGATIVE,

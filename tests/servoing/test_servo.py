@@ -269,6 +269,10 @@ def test_tracker_needs_neither_reason_nor_covariance():
     assert run.reached.all()
     # This tracker makes no error, and the test moves are whole increments of the drive.
     np.testing.assert_allclose(run.jacobian, JACOBIAN, atol=1e-9)
+    wrong = {"center": (1.0, 2.0), "covariance": -np.eye(2)}
+    tracker.track = lambda frame: SimpleNamespace(lost=False, **wrong)
+    reason = servo(scope.workstation, tracker, scope.home, travel=400.0).reason
+    assert reason.startswith("ArgumentError: covariance must be positive semidefinite, got the")
     tracker.track = lambda frame: SimpleNamespace(lost=True)
     run = servo(scope.workstation, tracker, scope.home, travel=400.0)
     assert run.reason == "lost in the first frame"
