@@ -543,15 +543,30 @@ def test_each_row_is_written_at_once_and_counted_when_ctrl_c_follows(tmp_path, m
     assert len(pd.read_csv(out)) == 8
 
 
-def test_lost_part_gives_exit_status_4(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("motion", "remedy"),
+    [
+        ("translation", "--motion affine, or more frames per second"),
+        ("affine", "--motion homography, or more frames per second"),
+        ("homography", "more frames per second"),
+    ],
+)
+def test_lost_part_gives_exit_status_4_and_a_remedy_that_was_not_tried(
+    motion, remedy, tmp_path, capsys
+):
+    """The message names the most frequent reason and the first frame; the count is given once."""
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 255, (9, 100, 120)).astype(np.uint8)
     frames[:2] = cv2.GaussianBlur(frames[0], (0, 0), 2)
     tifffile.imwrite(tmp_path / "noise.tif", frames)
-    assert status(f"track {tmp_path / 'noise.tif'} {BOX}", tmp_path / "track.csv") == 4
-    printed = capsys.readouterr().err
-    assert "lost in 7 of 9 frames: try another --motion" in printed
-    assert len(pd.read_csv(tmp_path / "track.csv")) == 9
+    line = f"track {tmp_path / 'noise.tif'} {BOX} --motion {motion}"
+    assert status(line, tmp_path / "track.csv") == 4
+    out, err = capsys.readouterr()
+    table = pd.read_csv(tmp_path / "track.csv")
+    assert len(table) == 9
+    (reason,) = table["reason"].dropna().mode()
+    assert f"lost in 7 of 9 frames, first in frame 2, mostly by {reason}: try {remedy}\n" in err
+    assert (out + err).count("lost in 7") == 1
 
 
 def test_each_fact_about_a_steep_dimple_of_a_thick_membrane_is_noted_once(tmp_path, capsys):

@@ -8,6 +8,7 @@ import errno
 import os
 from functools import partial
 from pathlib import Path
+from statistics import mode
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,14 @@ from microlib._common import ArgumentError, home_path
 
 #: Names of the files that it writes.
 FILES = ("table", "look.png", "look.mp4")
+#: Kinds of motion, each with more freedom than the one before.
+_MOTIONS = ("translation", "affine", "homography")
+#: Remedies by the reason of a loss, if another motion is none.
+_REMEDIES = {
+    "two motions": "a --mask of the part, or a tighter --box",
+    "out of view": "a --box around a part that stays in the image",
+    "ambiguous": "more frames per second, as the texture repeats",
+}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--box", required=True, help=box, **options.BOX)
     mask = "image of the frame's size that is not black where the box shows the part"
     parser.add_argument("--mask", metavar="FILE", help=mask)
-    motions = ["translation", "affine", "homography"]
-    parser.add_argument("--motion", choices=motions, default=motions[0], help="kind of motion")
+    parser.add_argument("--motion", choices=_MOTIONS, default=_MOTIONS[0], help="kind of motion")
     rate = "frames per second, for the column of times; by default times are those of the file"
     parser.add_argument("--rate", type=float, help=rate)
     options.add_scales(parser, "pixel_size")
@@ -92,9 +100,9 @@ def run(a: argparse.Namespace, session: Session) -> End:
     session.write("look.png", picture(lambda: tracking.plot_track(track, next(iter(frames)))))
     if a.video:
         session.write("look.mp4", partial(_write_film, frames, track, rate))
-    summary = f"lost in {lost} of {len(rows)} frames"
+    summary, failed = f"lost in {lost} of {len(rows)} frames", lost > len(rows) / 2 and not stop
     physical = ", x_um and y_um in µm" * (size is not None)
-    session.say(f"{summary}; one row per frame, lengths in px{physical}")
+    session.say(f"{summary}; " * (not failed) + f"one row per frame, lengths in px{physical}")
     if stop is not None:
         out = session.files["table"]
         kept = 0
@@ -105,9 +113,13 @@ def run(a: argparse.Namespace, session: Session) -> End:
         why = "stopped" if isinstance(stop, KeyboardInterrupt) else explain(stop, out)
         reason = f"{why}; {out} keeps the {kept} rows so far"
         return End(130 if isinstance(stop, KeyboardInterrupt) else 3, reason)
-    if lost > len(rows) / 2:
-        remedy = "another --motion, a larger --box, or more frames per second"
-        return End(4, f"{summary}: try {remedy}")
+    if failed:
+        lost_rows = track[track["lost"]]
+        first, reason = lost_rows["frame"].min(), mode(lost_rows["reason"])
+        further = _MOTIONS[_MOTIONS.index(a.motion) + 1 :]
+        other = "".join(f"--motion {motion}, or " for motion in further[:1])
+        remedy = _REMEDIES.get(reason, f"{other}more frames per second")
+        return End(4, f"{summary}, first in frame {first}, mostly by {reason}: try {remedy}")
     return End()
 
 
