@@ -34,10 +34,10 @@ LEVEL = 1e-3
 RAGGED = [[1.0], [1.0, 2.0]]
 #: What neither a number nor an array of numbers is.
 BROKEN: list[Any] = [
-    *(None, np.nan, np.array(np.nan), np.inf, "text", "1", 1j, {}, [], RAGGED),
+    *(None, True, np.nan, np.array(np.nan), np.inf, "text", "1", 1j, {}, [], RAGGED),
     np.ma.array(1.0, mask=True),
 ]
-NO_NUMBER = [*BROKEN, True, [1.0]]
+NO_NUMBER = [*BROKEN, [1.0]]
 NEGATIVE = [*NO_NUMBER, -1]
 NOT_POSITIVE = [*NEGATIVE, 0]
 #: What is no whole number above zero.

@@ -52,7 +52,7 @@ def as_array(
     reject_masks(name, value)
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "buif":
+        if array.dtype.kind not in ("buif" if array.ndim else "uif"):  # True is no quantity
             raise TypeError
         array = array.astype(dtype, copy=False)
     except (TypeError, ValueError):

@@ -29,6 +29,8 @@ def test_valid_values_are_returned():
     ("name", "given", "options", "message"),
     [
         ("as_array", ["ab"], {}, "x must hold real numbers, got str"),
+        ("as_positive", [True], {}, "x must hold real numbers, got bool"),
+        ("as_array", [np.True_], {}, "x must hold real numbers, got bool"),
         ("as_array", [[1.0]], {"shape": (None, 2)}, r"x must have shape \(any, 2\), got \(1,\)"),
         ("as_array", [np.zeros((0, 2))], {}, r"x must not be empty, got shape \(0, 2\)"),
         ("as_array", [[1, np.nan, np.inf]], {}, "x must be finite, got 2 NaN or infinite of 3"),
