@@ -21,6 +21,7 @@ from microlib.focus._stack import (
     Progress,
     bad_frames,
     change_between,
+    frame_names,
     margin_mask,
     read_stack,
 )
@@ -174,7 +175,8 @@ def depth_from_focus(
     def finish(stage: int, share: float) -> None:
         report(round(count * (stage + share)), stages * count)
 
-    used, kept, registration = _usable_frames(grey, margin, register, partial(finish, 1))
+    names = partial(frame_names, source, count)
+    used, kept, registration = _usable_frames(grey, margin, register, names, partial(finish, 1))
     done = partial(finish, stages - 2)
     z, origin = z[kept] - z[0], float(z[0])  # float32 has digits to spare near zero only
     if single is None:
@@ -203,6 +205,7 @@ def _usable_frames(
     grey: list[Image],
     margin: NDArray[np.bool_],
     register: bool | Literal["auto"],
+    names: Callable[[NDArray[np.intp]], str],
     done: Callable[[float], object],
 ) -> tuple[Sequence[Frame], NDArray[np.intp], Registration | None]:
     """Return the frames that are used, aligned if they are registered; their numbers; and how.
@@ -223,10 +226,10 @@ def _usable_frames(
             remedy = "brightness corrected" if change == "light" else "registered"
         warnings.warn(f"frames change in {change} from one to the next: {remedy}", stacklevel=3)
     if register is True or (register and change):
-        found = find_registration(grey, at_rest=change == "light", done=done)
+        found = find_registration(grey, names=names, at_rest=change == "light", done=done)
         return [found.aligned(grey[k], k) for k in found.kept], found.kept, found
     if len(kept) < count:
-        names = ", ".join(map(str, np.setdiff1d(np.arange(count), kept)))
+        out = names(np.setdiff1d(np.arange(count), kept))
         reasons = "are uniform, repeated or of another brightness: left out"
-        warnings.warn(f"frames {names} {reasons}", stacklevel=3)
+        warnings.warn(f"frames {out} {reasons}", stacklevel=3)
     return [grey[k] for k in kept], kept, None

@@ -110,6 +110,7 @@ def _ignore(share: float) -> None:
 def register(
     frames: Sequence[Image],
     *,
+    names: Callable[[NDArray[np.intp]], str],
     at_rest: bool = False,
     done: Callable[[float], object] = _ignore,
 ) -> Registration:
@@ -119,6 +120,8 @@ def register(
     ----------
     frames : sequence of ndarray, shape (rows, cols)
         The frames, grey.
+    names : callable
+        Returns the names of frames in messages from their numbers.
     at_rest : bool
         Whether only the brightness changes.
     done : callable
@@ -152,14 +155,13 @@ def register(
         done = _ignore  # of another attempt
     kept = np.array(sorted(most))
     if len(kept) < count:
-        out = np.setdiff1d(np.arange(count), kept)
-        names = ", ".join(map(str, out[:9])) + (" …" if len(out) > 9 else "")
+        out = names(np.setdiff1d(np.arange(count), kept))
         if len(kept) < max(3, count / 2):
             raise ValueError(
                 f"frames must show one scene to be registered, got {len(kept)} of {count} that do; "
-                f"frames {names} cannot be registered to those before them"
+                f"frames {out} cannot be registered to those before them"
             )
-        warnings.warn(f"frames {names} cannot be registered: left out", stacklevel=4)
+        warnings.warn(f"frames {out} cannot be registered: left out", stacklevel=4)
     reference = int(kept[np.abs(kept - count // 2).argmin()])
     inverse = np.linalg.inv(most[reference])
     relative = {k: np.eye(3) if at_rest else most[k] @ inverse for k in most}

@@ -86,6 +86,13 @@ def check_positions(
     return z
 
 
+def frame_names(source: Stack, count: int, numbers: NDArray[np.intp]) -> str:
+    """Return the names, at most nine, of some of `count` frames, their numbers if not of files."""
+    files = source.files if len(source.files) == count else ()
+    names = [files[k].name if files else str(k) for k in numbers[:9]]
+    return ", ".join(names) + (" …" if len(numbers) > 9 else "")
+
+
 def check_count(got: int | str, count: int) -> None:
     """Raise an error if there are not as many frames as positions."""
     if got != count:

@@ -55,9 +55,10 @@ def _check_numbers(files: Sequence[Path], parts: Sequence[Sequence[str]]) -> Non
     """Reject files of several axes; warn of files that may be missing or of another series."""
     first, *_, last = (file.name for file in (*files, files[-1]))
     texts = [tuple(each[::2]) for each in parts]
-    odd = [file.name for file, text in zip(files, texts, strict=True) if text != mode(texts)]
+    usual = mode(texts)
+    odd = [f"{file.name} is frame {k}" for k, file in enumerate(files) if texts[k] != usual]
     if odd:
-        shown = f" ({odd[0]} from most)" if 2 * len(odd) < len(files) else ""
+        shown = f" ({', '.join(odd[:9])})" if 2 * len(odd) < len(files) else ""
         warnings.warn(
             f"names differ in more than numbers{shown}, frames are read from {first} to {last}",
             stacklevel=3,

@@ -118,6 +118,20 @@ def test_bad_frame_is_left_out_and_the_depth_is_accurate(kind: str) -> None:
     assert all(np.mean(certain) <= 0.02 for certain in shares.values())
 
 
+@pytest.mark.parametrize("register", [False, True])
+def test_file_that_is_left_out_is_named(register, tmp_path) -> None:
+    """A black picture among others; frames of an iterator have only numbers."""
+    z = 8.0 * np.arange(9)
+    stack = stack_of(np.full((96, 112), 30.0), z, rate=0.1, noise=1.0, seed=4)
+    stack[6] = 0
+    for k, frame in enumerate(stack):
+        cv2.imwrite(str(tmp_path / f"im_{k + 11}.png"), np.rint(frame).clip(0, 255).astype("u1"))
+    files = (tmp_path / f"im_{k + 11}.png" for k in range(9))
+    for frames, name in ((tmp_path, r"im_17\.png"), (files, "6")):
+        with pytest.warns(UserWarning, match=f"frames {name} .*: left out"):
+            depth_from_focus(frames, z, register=register)
+
+
 def test_frames_of_a_stack_whose_brightness_changes_are_not_left_out() -> None:
     z, rng = np.arange(9.0), np.random.default_rng(4)
     stack = stack_of(np.full((96, 112), 4.2), z, noise=1.0, seed=4)

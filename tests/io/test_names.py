@@ -84,8 +84,11 @@ def test_ambiguous_names_are_rejected_and_a_list_of_them_is_read(tmp_path, names
             r"more than numbers, frames are read from far\.png to near\.png$",
         ),
         (["a1", "a2", "a10", "b1", "b2"], r"are read from a1\.png to b2\.png$"),
-        (["expected", "pcb_1", "pcb_2", "pcb_3"], r"\(expected\.png from most\), .* to pcb_3"),
-        (["im_1", "im_2", "im_3", "mask"], r"\(mask\.png from most\), .* from im_1"),
+        (["expected", "pcb_1", "pcb_2", "pcb_3"], r"\(expected\.png is frame 0\), .* to pcb_3"),
+        (
+            ["im_1", "im_2", "im_2.5x", "im_3", "im_4", "mask"],
+            r"\(im_2\.5x\.png is frame 2, mask\.png is frame 5\), .* from im_1",
+        ),
         (["z1mm", "z2mm", "z500um"], r"are read from z1mm\.png to z500um"),
         # Two numbers that count, of an axis with another one or of a date.
         (["a1_1", "a1_2", "a2_1"], r"count by 2 numbers, .* are read from a1_1\.png to a2_1\.png$"),
