@@ -18,6 +18,7 @@ from microlib._common import (
     Array,
     Result,
     as_array,
+    as_instance,
     as_integer,
     as_map,
     as_positive,
@@ -489,6 +490,7 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     0      1  convex elliptic   841
     """
     types, regions = _regions(labels)
+    as_instance("curvature", curvature, Curvature)
     if types.shape != curvature.mean.shape:
         raise ValueError(
             f"labels must have the shape {curvature.mean.shape} of curvature, got {types.shape}"

@@ -113,6 +113,10 @@ def test_gaussian_transfer_equals_fourier_transform_of_kernel(sigma):
     np.testing.assert_allclose(transform[np.ix_(low, low)], ours[np.ix_(low, low)], atol=3e-6)
 
 
+def test_kernel_much_narrower_than_a_pixel_is_one_pixel():
+    np.testing.assert_array_equal(optics.gaussian_kernel(1e-300, 3), np.diag([0.0, 1.0, 0.0]))
+
+
 def test_uniform_defocus_equals_opencv_gaussian_blur():
     for sigma in (0.6, 1.7, 4.0):
         peer = cv2.GaussianBlur(IMAGE, (41, 41), sigma, borderType=cv2.BORDER_REFLECT)

@@ -146,6 +146,12 @@ def test_plot_with_given_axes_or_one_image_shows_one_view(views):
     one = replace(result, views=result.views[:1], residuals=result.residuals[:12])
     for figure in (one.plot(found=found[0], images=images[0]), found[0].plot(image=images[0])):
         hold_photograph(figure.axes[0], images[0])
+    wrong = (lambda: result.plot(found=None), lambda: found[0].plot(images[0]))
+    for plot, name in zip(wrong, ("found", "ax"), strict=True):
+        with pytest.raises(ValueError, match=f"^{name} must be of type"):
+            plot()
+    with pytest.raises(ValueError, match="image must be one image"):
+        result.plot(found=found, images=images[0])
 
 
 def test_outline_is_drawn_with_curve_and_modulus():
@@ -201,6 +207,8 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     for wrong in (table[["center_x", "center_y", "lost"]], table.iloc[1], None):
         with pytest.raises(ValueError, match="table must be that of a track, with its"):
             plot_track(wrong, image)
+    with pytest.raises(ValueError, match="ax must be of type Axes, got <Figure"):
+        plot_track(table, image, own)
     for wrong in (image[None].repeat(4, axis=0), image[0], "image"):
         with pytest.raises(ValueError, match=r"image must (be one image|hold real)"):
             plot_track(table, wrong)

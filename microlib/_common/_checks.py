@@ -184,7 +184,7 @@ def as_choice(name: str, value: object, known: tuple[str, ...]) -> str:
     return value
 
 
-def as_instance(name: str, value: object, kind: type) -> Any:
+def as_instance(name: str, value: object, kind: Any) -> Any:
     """Return `value` if it is of the `kind`, which may be ``Callable``."""
     if not isinstance(value, kind):
         raise ArgumentError(name, f"must be of type {kind.__name__}, got {value!r:.80}")

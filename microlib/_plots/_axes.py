@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._common import as_picture
+from microlib._common import as_instance, as_picture
 
 #: Colors of results, references and errors, distinct on grey and for color-blind readers.
 FOUND, BESIDE, OFF = "#ffb000", "#56b4e9", "#e0245e"
@@ -31,6 +31,13 @@ def new_axes(rows: int, columns: int, width: float, height: float) -> Any:
 
     size = (width * columns, height * rows)
     return pyplot.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)[1]
+
+
+def given_axes(ax: Any) -> Any:
+    """Return axes that a caller gave, or None."""
+    from matplotlib.axes import Axes
+
+    return None if ax is None else as_instance("ax", ax, Axes)
 
 
 def show_image(ax: Any, image: NDArray) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._plots._axes import FOUND, OFF, new_axes, rounded_down, show_image
+from microlib._plots._axes import FOUND, OFF, given_axes, new_axes, rounded_down, show_image
 
 
 def marks(
@@ -26,8 +26,9 @@ def marks(
     columns = ceil(sqrt(len(detections)))
     rows = ceil(len(detections) / columns)
     panel = max(2.5, 8 / columns)
-    new = new_axes(rows, columns, panel, 0.6 + panel * height / width) if ax is None else ax
-    axes = np.ravel(new)
+    if given_axes(ax) is None:
+        ax = new_axes(rows, columns, panel, 0.6 + panel * height / width)
+    axes = np.ravel(ax)
     for unused in axes[len(detections) :]:
         unused.set_axis_off()
     ends = np.cumsum([len(detection.points) for detection in detections])[:-1]

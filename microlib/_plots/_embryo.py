@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes
+from microlib._plots._axes import BESIDE, FOUND, OFF, given_axes, new_axes
 
 
 def outline(
@@ -23,7 +23,7 @@ def outline(
 
     An outline that is wider than four times its height is stretched; the axis states the factor.
     """
-    ax = new_axes(1, 1, 8, 5)[0, 0] if ax is None else ax
+    ax = new_axes(1, 1, 8, 5)[0, 0] if given_axes(ax) is None else ax
     ax.plot(x, y, ".", ms=3, color="0.6", label="outline")
     ax.plot(*curve, color=BESIDE, label="fitted model")
     for (name, at), color in zip(points.items(), (FOUND, OFF, FOUND), strict=False):

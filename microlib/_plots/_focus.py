@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._plots._axes import new_axes, rounded_down, show_image
+from microlib._plots._axes import given_axes, new_axes, rounded_down, show_image
 
 
 def maps(result: Any, ax: Any = None) -> Any:
@@ -18,7 +18,7 @@ def maps(result: Any, ax: Any = None) -> Any:
     """
     depth = np.asarray(result.depth)
     rows, columns = depth.shape
-    if ax is None:
+    if given_axes(ax) is None:
         axes = new_axes(1, 3, 5.5, 0.4 + 5 * rows / columns)[0]
         show_image(axes[0], result.all_in_focus)
         axes[0].set_title("all in focus")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from microlib._plots._axes import BESIDE, FOUND, OFF, new_axes, show_image
+from microlib._plots._axes import BESIDE, FOUND, OFF, given_axes, new_axes, show_image
 
 
 def path(table: Any, image: NDArray, ax: Any = None) -> Any:
@@ -17,7 +17,7 @@ def path(table: Any, image: NDArray, ax: Any = None) -> Any:
     """
     seen = table[~table["lost"].to_numpy(bool)]
     points = seen[["center_x", "center_y"]].to_numpy(np.float64)
-    if ax is None:
+    if given_axes(ax) is None:
         axes = new_axes(1, 2, 6, 0.8 + 5 * image.shape[0] / image.shape[1])[0]
         _against_time(axes[1], table, points[0])
         ax = axes[0]

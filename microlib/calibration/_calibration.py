@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from microlib._common import ArgumentError, Array, Result
+from microlib._common import ArgumentError, Array, Result, as_instance
+from microlib.calibration._detection import Detection
 from microlib.calibration._uncertainty import reciprocal_estimate
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope, undistort
@@ -254,7 +255,7 @@ class Calibration(Result):
 
         several = isinstance(found, (list, tuple))
         detections = found if several else [found]
-        points = sum(len(each.points) for each in detections)
+        points = sum(len(as_instance("found", each, Detection).points) for each in detections)
         if (len(detections), points) != (len(self.views), len(self.residuals)):
             raise ArgumentError(
                 "found",

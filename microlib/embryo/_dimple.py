@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import OptimizeResult, least_squares
 
-from microlib._common import Array, FlatResult, as_choice, as_scalar, inverse_normal, robust_std
+from microlib._common import (
+    Array,
+    FlatResult,
+    as_choice,
+    as_instance,
+    as_scalar,
+    inverse_normal,
+    robust_std,
+)
 from microlib.embryo._boundary import Boundary
 from microlib.embryo._gaussian_sum import GaussianSum
 from microlib.membrane import dimple_profile
@@ -104,7 +112,7 @@ def dimple_geometry(curve: GaussianSum, *, pixel_size: float, rim: str = "left")
     """
     size = as_scalar("pixel_size", pixel_size, above=0)
     sign = {"left": -1, "right": 1}[as_choice("rim", rim, ("left", "right"))]
-    maxima, minima = curve.extrema()
+    maxima, minima = as_instance("curve", curve, GaussianSum).extrema()
     between_maxima = [x for x in minima if (maxima < x).any() and (maxima > x).any()]
     if not between_maxima:
         raise ValueError(
@@ -223,7 +231,7 @@ def fit_dimple(boundary: Boundary, *, pixel_size: float, probe_half_width: float
     """
     size = as_scalar("pixel_size", pixel_size, above=0)
     c = as_scalar("probe_half_width", probe_half_width, above=0) / size
-    _check_probe_width(boundary, c, size)
+    _check_probe_width(as_instance("boundary", boundary, Boundary), c, size)
     outline = np.stack([boundary.x, boundary.y, boundary.uncertainty])[:, ~boundary.under_probe]
     start = _initial_dimple(outline[0], outline[1], boundary)
     outline = outline[:, np.abs(outline[0] - boundary.probe.tip[0]) > c]

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import ArgumentError, Frames, Image, as_integer
+from microlib._common import ArgumentError, Frames, Image, as_instance, as_integer
 from microlib.focus import multiscale
 from microlib.focus._measures import FocusMeasure, single_measure
 from microlib.focus._registration import Registration
@@ -161,7 +161,7 @@ def depth_from_focus(
     unit, spacing = ("frames", 1.0) if spacing == "frame" else ("µm", spacing)
     single = single_measure(measure, window)
     threads = as_integer("workers", workers, least=1)
-    report = progress or (lambda done, count: None)
+    report = as_instance("progress", progress or (lambda done, count: None), Callable)
     if not isinstance(register, bool) and register != "auto":
         raise ArgumentError("register", f'must be True, False or "auto", got {register!r:.80}')
     # Reading, registration, depths, and the all-in-focus image.

@@ -10,7 +10,15 @@ import numpy as np
 import tifffile
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import MICROMETERS, SOFTWARE, as_array, as_scalar, reject_masks, replace_file
+from microlib._common import (
+    MICROMETERS,
+    SOFTWARE,
+    as_array,
+    as_instance,
+    as_scalar,
+    reject_masks,
+    replace_file,
+)
 from microlib.io._read import read_frames
 
 
@@ -94,7 +102,7 @@ def write_height_tiff(
     rgb = values.ndim == 3
     shape = (None, None, 3) if rgb else (None, None)
     as_array("height", values, shape=shape, dtype=kept, finite=False)
-    about: dict[str, Any] = {"description": what.encode()}
+    about: dict[str, Any] = {"description": as_instance("what", what, str).encode()}
     sizes: dict[str, Any] = {}
     if pixel_size is not None:
         # The number of pixels in a centimeter fits into the 32 bits of a TIFF.

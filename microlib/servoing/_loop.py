@@ -47,7 +47,7 @@ class LoopOptions:
     tolerance: float
     longest_move: float | None
     timeout: float
-    progress: Callable[[dict[str, Any]], object] | None
+    progress: Callable[[dict[str, Any]], object]
 
 
 #: The columns of the log, the same whatever was steered.
@@ -193,8 +193,7 @@ class Loop:
         return Observation(row, position, measured, covariance)
 
     def _report(self, observation: Observation) -> None:
-        if self._options.progress is not None:
-            self._options.progress(dict(observation.row))
+        self._options.progress(dict(observation.row))
 
     def _calibrate(self, first: Observation) -> None:
         observed = [first]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, FlatResult, as_array, as_scalar
+from microlib._common import Array, FlatResult, as_array, as_instance, as_scalar
 from microlib.servoing._control import full_rank, of_two_axes
 from microlib.servoing._devices import EndRun, InterruptGate, check_devices, stop_stage
 from microlib.servoing._loop import USABLE_TRAVEL, Loop, LoopOptions, add_event, new_row, put
@@ -194,8 +194,9 @@ def servo(
         tolerance=as_scalar("tolerance", tolerance, above=0),
         longest_move=longest_move,
         timeout=as_scalar("timeout", timeout, above=0),
-        progress=progress,
+        progress=progress or (lambda row: None),
     )
+    as_instance("progress", options.progress, Callable)
     given = None if jacobian is None else full_rank(jacobian, (2, 2))
     loop = Loop(workstation, tracker, options)
     reason = ""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, as_array, as_generator
+from microlib._common import Array, as_array, as_generator, as_instance
 from microlib.servoing._control import full_rank
 from microlib.servoing._workstation import CameraTiming, StageModel
 
@@ -80,10 +80,12 @@ class SimulatedWorkstation:
         home: ArrayLike = (0.0, 0.0),
         drift: ArrayLike = (0.0, 0.0),
     ) -> None:
+        as_instance("render", render, Callable)
+        as_instance("camera", camera, CameraTiming)
         self._jacobian = full_rank(jacobian, (2, 2))
         self._home = as_array("home", home, shape=(2,))
         self._drift = as_array("drift", drift, shape=(2,))
-        self.stage = _SimulatedStage(stage)
+        self.stage = _SimulatedStage(as_instance("stage", stage, StageModel))
         self._now = 0.0
         self.clock = SimpleNamespace(now=lambda: self._now, sleep=self._sleep)
         self.camera = SimpleNamespace(snap=self._snap)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from microlib._common import Array, FlatResult, as_array, as_generator, as_scalar
+from microlib._common import Array, FlatResult, as_array, as_generator, as_instance, as_scalar
 from microlib.servoing._control import full_rank
 
 #: The control law of `simulate`: from the number k of the sample, the measured feature (px, NaN if
@@ -178,6 +178,9 @@ def simulate(
     >>> run.feature[-1].round(1)
     array([5., 5.])
     """
+    as_instance("controller", controller, Callable)
+    as_instance("stage", stage, StageModel)
+    as_instance("camera", camera, CameraTiming)
     references = as_array("reference", reference, shape=(None, 2)).copy()
     references.flags.writeable = False  # a controller sees it
     matrix = as_array("jacobian", jacobian)

@@ -45,7 +45,9 @@ REFUSED = {
     curvature.hk_labels: {
         "mean": no_map, "gaussian": no_map, "h_zero": THRESHOLD, "k_zero": [*THRESHOLD, [0.1, 0.2]],
     },
-    curvature.region_table: {"labels": lambda valid: [*no_array(valid), [[1]]]},
+    curvature.region_table: {
+        "labels": lambda valid: [*no_array(valid), [[1]]], "curvature": [None, (1, 2)],
+    },
     curvature.surface_curvature: {
         "height": lambda valid: [*no_map(valid), np.zeros((8, 40)), np.full((40, 40), np.inf)],
         "size": [*NO_COUNT, 4], "noise": [*NO_NUMBER, -1], "pixel_size": [*BROKEN, 0, -1],

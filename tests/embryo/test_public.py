@@ -93,7 +93,7 @@ REFUSED = {
     },
     dimple_geometry: {
         "pixel_size": PIXEL,
-        "curve": [GaussianSum([9.0], [0.0], [5.0], domain=(-9, 9))],
+        "curve": [GaussianSum([9.0], [0.0], [5.0], domain=(-9, 9)), None, ([1.0], [2.0])],
     },
     embryo.dimple_from_outline: {
         "x": lambda valid: [*no_array(valid), valid[:5]],
@@ -110,6 +110,7 @@ REFUSED = {
     },
     fit_dimple: {
         "pixel_size": PIXEL,
+        "boundary": [None, np.zeros((9, 2))],
         "probe_half_width": [*NOT_POSITIVE, *(Wrong(c, "must be that of") for c in (8.0, 45.0))],
     },
     modulus_from_image: {

@@ -70,7 +70,7 @@ REFUSED = {
     depth_from_focus: {
         "frames": no_map,
         "positions": lambda valid: [*no_array(valid), [3.0] * 5, [0, 0, 1, 2, 3], [2, 1, 1, 0, -1]],
-        "window": ODD,
+        "window": ODD, "progress": [5, "text"],
     },
     smooth_depth: {
         "depth": lambda valid: [*no_map(valid), np.full(valid.shape, -np.inf)], "sigma": NEGATIVE,

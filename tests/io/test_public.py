@@ -47,7 +47,14 @@ def test_writers_refuse_by_name_and_keep_their_arrays(write, tmp_path):
     given = {"path": tmp_path / "file.tif", "height": HEIGHT.copy(), "pixel_size": 2.6}
     if write is write_ply:
         given["image"] = np.zeros(HEIGHT.shape, np.uint8)
-    wrong = {"height": no_map, "pixel_size": [*BROKEN[1:], 0, -1], "image": [HEIGHT]}
+    if write is write_height_tiff:
+        given["what"] = "height"
+    wrong = {
+        "what": [None, 5],
+        "height": no_map,
+        "pixel_size": [*BROKEN[1:], 0, -1],
+        "image": [HEIGHT],
+    }
     wrong = {name: wrong[name] for name in given if name in wrong}
     hold_refused(write, given, wrong)
     assert not [*tmp_path.iterdir()]

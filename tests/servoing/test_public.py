@@ -148,6 +148,7 @@ FACTORS = {
     servoing.point_jacobian: {"factor": np.array([PX / UM] * 3 + [PX] * 3)},
     servoing.loop_poles: {}, StageModel.rounded: {"factor": UM},
 }  # fmt: skip
+OTHER = [None, 5]  # of another type
 SINGULAR = [[[1.0, 2.0], [2.0, 4.0]], np.zeros((2, 2))]
 
 
@@ -178,6 +179,7 @@ REFUSED = {
     servoing.simulate: {
         "reference": lambda valid: [*no_array(valid), np.full((3, 2), 9e4)], "rng": NEGATIVE,
         "jacobian": lambda valid: [*not_finite(valid), np.array([valid, 0 * valid])],
+        "controller": OTHER, "stage": OTHER, "camera": OTHER,
     },
     servoing.step_metrics: {
         "time": lambda valid: [*no_array(valid), np.zeros(25), valid[:-1]],
@@ -210,11 +212,13 @@ def test_wrong_arguments_of_a_run_are_refused_by_name():
         # Beyond the travel, and beyond the longest move.
         "test_move": [*NOT_POSITIVE, 500.0, 80.0],
         **dict.fromkeys(("tolerance", "longest_move", "timeout"), NOT_POSITIVE),
+        "progress": [5, "text"],
     }
     hold_refused(servoing.servo, {"jacobian": J.copy(), **steered()}, wrong)
     rendered = {"render": lambda feature: np.zeros((9, 9)), "jacobian": J.copy(), "rng": 0}
     rendered |= {"stage": stage(), "camera": CameraTiming(0.03), "drift": np.ones(2)}
     wrong = {"jacobian": no_jacobian, "drift": no_array, "home": no_array, "rng": NEGATIVE}
+    wrong |= {"render": OTHER, "stage": OTHER, "camera": OTHER}
     hold_refused(SimulatedWorkstation, rendered | {"home": np.ones(2)}, wrong)
 
 
