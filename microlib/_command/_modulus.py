@@ -17,6 +17,8 @@ from microlib._common import as_physical, as_scalar, home_path
 
 #: Names of the files that it writes.
 FILES = ("table", "look.png")
+#: Moduli between which none is noted, MPa: those of a gel and of a metal.
+_LEAST_MODULUS, _LARGEST_MODULUS = 0.01, 1e4
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +73,11 @@ def run(a: argparse.Namespace, session: Session) -> End:
         _estimate(side, as_physical("modulus", value), values, uncertainties)
         for side, value in zip(sides, moduli, strict=True)
     )
+    if not _LEAST_MODULUS < moduli[0] < _LARGEST_MODULUS:
+        session.note(
+            f"{moduli[0]:.2g} MPa is seldom that of a membrane: is the unit of --force right, as "
+            "in 0.2mN?"
+        )
     low, high = "modulus_low_MPa", "modulus_high_MPa"
     if max(left[low], right[low]) > min(left[high], right[high]):
         session.note(

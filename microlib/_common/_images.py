@@ -47,7 +47,8 @@ def as_region(
     x, y, width, height = (as_integer(f"{name} {side}", n, least=low) for side, n, low in sides)
     if shape is not None and (y + height > shape[0] or x + width > shape[1]):
         size = f"{shape[1]}×{shape[0]} px"
-        raise ArgumentError(name, f"must lie in the image of {size}, got {four}")
+        got = f"x + width = {x + width} and y + height = {y + height} of (x, y, width, height)"
+        raise ArgumentError(name, f"must lie in the image of {size}, got {got}")
     return x, y, width, height
 
 

@@ -74,7 +74,8 @@ def check_positions(
     positions = from_file if positions is None else positions
     if positions is None:
         raise ValueError(
-            "positions or spacing must be given, got None and frames without positions of their own"
+            "positions or spacing must be given, got None and frames without positions of their "
+            'own; spacing="frame" gives depths in frames'
         )
     z = as_array("positions", positions, shape=(None,))
     if not 3 <= len(z) < 2**16:  # frames are counted in 16 bits

@@ -483,7 +483,7 @@ def check_bending(name: str, depth: ArrayLike, thickness: ArrayLike) -> None:
     if shallowest < 1:
         raise ValueError(
             f"{name} must be at least the thickness, since a shallower membrane resists mainly by "
-            f"bending, got {shallowest:.2g} times the thickness"
+            f"bending, got {shallowest:.2g} times: is the unit right?"
         )
     if shallowest < 2:
         warnings.warn(

@@ -74,7 +74,7 @@ class ESMTracker:
         Filter that predicts where the search in each frame starts. The filter also limits the
         region in which a lost template is searched for. The tracker uses a copy, so that the filter
         can serve for other films. By default a search starts at the last accepted pose.
-    mask : array_like, shape (H, W), optional
+    mask : array_like, shape (H, W) or (H, W, 3), optional
         Not 0 (or True) where the frame shows the object. Only these pixels of the box are tracked.
         By default all pixels of the box are used.
 
@@ -129,7 +129,7 @@ class ESMTracker:
         x, y, width, height = self._box = as_region("box", box, frame.shape, least=6)
         weight, self._object = None, np.ones((height, width), bool)
         if mask is not None:
-            whole = as_array("mask", mask, shape=frame.shape) != 0
+            whole = as_array("mask", luminance("mask", mask), shape=frame.shape) != 0
             self._object, weight = whole[y : y + height, x : x + width], whole.astype(np.float32)
             pixels = np.count_nonzero(self._object)
             if pixels < 36:

@@ -189,7 +189,9 @@ def test_depth_at_which_bending_carries_the_force_warns(depth: float, times: flo
 def test_depth_below_the_thickness_raises_also_beside_others(
     model, depth, thickness, times
 ) -> None:
-    with pytest.raises(ValueError, match=rf"depth must be at least the thickness.*{times} times"):
+    with pytest.raises(
+        ValueError, match=rf"depth must be at least the thickness.*{times} times: is the unit right"
+    ):
         model(0.01, 250.0, depth, **FILM | {"thickness": thickness})
 
 

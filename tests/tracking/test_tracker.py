@@ -203,6 +203,7 @@ def test_film_is_tracked_with_its_mask_and_its_times_unless_a_rate_is_given():
     frames, box = film()[0][:4], (60, 60, 49, 49)
     mask = np.indices(frames[0].shape)[1] < 90
     tracker = ESMTracker(frames[0], box, "translation", mask=mask)
+    mask = np.dstack([mask] * 3)  # as a picture in color
     wanted = [tracker.track(frame).covariance[0, 0] for frame in frames]
     timed = type("Film", (list,), {"time": lambda film, k: 0.1 * k**2})(frames)
     for rate, times in ((None, [0.0, 0.1, 0.4, 0.9]), (4.0, [0.0, 0.25, 0.5, 0.75])):
