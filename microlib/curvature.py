@@ -55,6 +55,10 @@ HK_NAMES = {
 }
 
 
+#: Uncertainties that noise exceeds at one of 2000 pixels.
+_SURE = 3.5
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Windows(Result):
     """One-dimensional windows of smoothing and differentiation, from `curvature_windows`.
@@ -332,7 +336,9 @@ def hk_labels(
     Returns
     -------
     ndarray of uint8
-        Labels of Table 3.1, named in `HK_NAMES`; 0 where H, K or a threshold is NaN.
+        Labels of Table 3.1, named in `HK_NAMES`; 0 where H, K or a threshold is NaN. "planar" means
+        that H and K are below the thresholds: the surface is plane, or its curvature is too small
+        to be seen: `region_table` has the limit, which is lower for windows of a larger `size`.
 
     Raises
     ------
@@ -383,7 +389,7 @@ def hk_labels(
 def _noise_limits(
     curvature: Curvature, h_zero: ArrayLike | None, k_zero: ArrayLike | None
 ) -> tuple[ArrayLike, ArrayLike]:
-    """Return the thresholds, by default those that noise exceeds at one of 2000 pixels."""
+    """Return the thresholds, by default those that noise seldom exceeds."""
     known = np.isfinite(curvature.mean)
     without = known.any() and np.isnan(curvature.mean_uncertainty[known]).all()
     if without and (h_zero is None or k_zero is None):
@@ -392,8 +398,8 @@ def _noise_limits(
             "surface_curvature must be given the noise of the heights"
         )
     return (
-        3.5 * curvature.mean_uncertainty if h_zero is None else h_zero,
-        3.5 * curvature.gaussian_uncertainty if k_zero is None else k_zero,
+        _SURE * curvature.mean_uncertainty if h_zero is None else h_zero,
+        _SURE * curvature.gaussian_uncertainty if k_zero is None else k_zero,
     )
 
 
@@ -470,8 +476,9 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row per region: ``label``, ``name``, ``area`` (px), ``mean`` (mean of H, 1/µm),
-        ``gaussian`` (mean of K, 1/µm²) and centroid ``x``, ``y`` (px). Regions are connected along
-        rows and columns.
+        ``gaussian`` (mean of K, 1/µm²), ``mean_limit`` (mean of the default threshold of H, 1/µm,
+        the smallest H that would be seen; NaN if the noise is unknown) and centroid ``x``, ``y``
+        (px). Regions are connected along rows and columns.
 
     Raises
     ------
@@ -498,10 +505,12 @@ def region_table(labels: ArrayLike, curvature: Curvature) -> pd.DataFrame:
     import pandas as pd  # here, because both take long to import
     from skimage.measure import regionprops_table
 
-    fields = np.stack([types, curvature.mean, curvature.gaussian], axis=-1)
+    limit = _SURE * curvature.mean_uncertainty
+    fields = np.stack([types, curvature.mean, curvature.gaussian, limit], axis=-1)
     measured = regionprops_table(regions, fields, properties=("intensity_mean", "area", "centroid"))
     names = {"intensity_mean-0": "label", "area": "area", "intensity_mean-1": "mean"}
-    names |= {"intensity_mean-2": "gaussian", "centroid-1": "x", "centroid-0": "y"}
+    names |= {"intensity_mean-2": "gaussian", "intensity_mean-3": "mean_limit"}
+    names |= {"centroid-1": "x", "centroid-0": "y"}
     table = pd.DataFrame(measured)[list(names)].rename(columns=names)
     table = table.astype({"label": int, "area": int})
     table.insert(1, "name", table["label"].map(HK_NAMES))

@@ -72,10 +72,28 @@ def test_curvature_and_regions_follow_unit_and_origin_of_height():
     by = {"mean": 1 / um, "gaussian": 1 / um**2}
     uncertainties = {"mean_uncertainty": 1 / um, "gaussian_uncertainty": 1 / um**2}
     hold_scaled(found, BENT, within=1e-8, **by, **uncertainties)
+    by["mean_limit"] = 1 / um
     hold_scaled(region_table(labels, found), region_table(labels, BENT), within=1e-8, **by)
     wanted = curvature.hk_labels(BENT.mean, BENT.gaussian, 0.01, 2e-4)
     given = (found.mean, found.gaussian, 0.01 / um, 2e-4 / um**2)
     np.testing.assert_array_equal(curvature.hk_labels(*given), wanted)
+
+
+def test_planar_region_states_the_smallest_curvature_that_would_be_seen():
+    """A dome is planar in much noise, and its curvature is then below the limit of the table."""
+    dome = np.sqrt(300.0**2 - X**2 - Y**2)
+    for noise, label in ((0.05, 5), (1e-6, 1)):
+        rough = dome + np.random.default_rng(0).normal(0, noise, dome.shape)
+        found = surface_curvature(rough, 0.1, noise=noise)
+        row = region_table(curvature.hk_labels(found), found).sort_values("area").iloc[-1]
+        assert row["label"] == label
+        assert (row["mean_limit"] > 1 / 300) == (label == 5)
+        known = np.isfinite(found.mean)
+        h_zero = np.where(
+            known, row["mean_limit"], np.nan
+        )  # the same for all pixels on flat ground
+        labels = curvature.hk_labels(found, h_zero=h_zero)
+        assert (labels == curvature.hk_labels(found)).mean() > 0.99
 
 
 @each_view
