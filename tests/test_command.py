@@ -1,5 +1,6 @@
 """The four commands on small inputs with known truth, and their errors."""
 
+import contextlib
 import csv
 import json
 import os
@@ -745,6 +746,16 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
     assert message in printed
     assert printed.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("source", "out"), [("focal_stack.tif", ""), ("", "out")])
+def test_empty_name_is_not_the_current_folder(source, out, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = ["depth", str(INPUTS / source) if source else "", "--spacing", "25", "-o", out]
+    with contextlib.suppress(SystemExit):
+        assert main(line) == 2
+    assert "must name a file or a folder, got an empty text" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if a.task is None:
         parser.print_help()
         return 0
+    if not a.out:  # of an unset variable
+        parser.error("--out must name a file or a folder, got an empty text")
     task, out = _TASKS[a.task], home_path(a.out)
     if ".." in out.parts:  # before a folder that is missing, files are not found
         out = out.resolve()
@@ -132,7 +134,7 @@ def _parser() -> argparse.ArgumentParser:
         sub = tasks.add_parser(name, help=about, description=about, epilog=example)
         task.add_options(sub)
         out = "CSV file" if "table" in task.FILES else "folder for the results"
-        sub.add_argument("-o", "--out", required=True, type=Path, metavar="OUT", help=out)
+        sub.add_argument("-o", "--out", required=True, metavar="OUT", help=out)
         sub.add_argument("--overwrite", action="store_true", help="replace earlier results")
         sub.add_argument("--no-look", action="store_true", help="write no picture of the result")
         sub.add_argument("--quiet", action="store_true", help="print only errors and notes")

@@ -9,12 +9,16 @@ from os import PathLike
 from pathlib import Path
 from secrets import token_hex
 
+from microlib._common._checks import ArgumentError
+
 #: Value of the Software tag of written images, by which a folder's frames and results differ.
 SOFTWARE = "microlib"
 
 
 def home_path(path: str | PathLike[str]) -> Path:
     """Return a path with ``~`` as the home folder; other names may begin with a tilde."""
+    if path == "":  # of an unset variable; it would be the current folder
+        raise ArgumentError("path", "must name a file or a folder, got an empty text")
     given = Path(path)
     return given.expanduser() if given.parts[:1] == ("~",) else given
 
