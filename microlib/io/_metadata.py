@@ -11,7 +11,7 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 import tifffile
 
-from microlib._common import MICROMETERS, Array
+from microlib._common import MICROMETERS, SOFTWARE, Array
 from microlib.io._stack import Choice
 
 #: Units of time in OME metadata, s.
@@ -37,14 +37,14 @@ def tiff_scale(tiff: tifffile.TiffFile, name: str, count: int, choice: Choice) -
         unit_x, unit_y, unit_z = (
             str(about.get(key, about.get("unit"))).lower() for key in ("unit", "yunit", "zunit")
         )
-        step = abs(_converted(about.get("spacing"), unit_z))
+        step = _converted(about.get("spacing"), unit_z)
         size = _square(_converted(x, unit_x), _converted(y, unit_y), name)
         return size, _even_positions(step, count)
     if page.resolutionunit != tifffile.RESUNIT.CENTIMETER:
         return None, None
     x, y = _converted(x, "cm"), _converted(y, "cm")
-    # Up to 1200 dots per inch it is a printer's resolution, which software writes unasked.
-    return None if x > 20 else _square(x, y, name), None
+    # Up to 1200 dots per inch it is a printer's resolution, which other software writes unasked.
+    return None if x > 20 and page.software != SOFTWARE else _square(x, y, name), None
 
 
 def tiff_times(tiff: tifffile.TiffFile, count: int, choice: Choice) -> Array | None:

@@ -79,6 +79,9 @@ def test_maps_are_written_as_ome_tiff_with_type_name_and_pixel_size(tmp_path, dt
     assert pixels["PhysicalSizeXUnit"] == "µm"
     if dtype is not np.float64:  # frames with NaN are rejected
         assert io.read_frames(path).pixel_size == pytest.approx(0.65)
+        # Of a macro lens; of other software it would be the resolution of a printer.
+        io.write_height_tiff(tmp_path / "m.tif", values, pixel_size=25.0)
+        assert io.read_frames(tmp_path / "m.tif").pixel_size == pytest.approx(25.0)
 
 
 @pytest.mark.parametrize("fault", [None, OSError("No space left"), KeyboardInterrupt()])

@@ -54,8 +54,8 @@ OWN_UNITS = {"unit": "nm", "yunit": "um"}
             ("mm", 1e3), ("millimetre", 1e3), ("cm", 1e4), ("centimeter", 1e4),
         )),
         *(({"unit": unit}, None, None) for unit in ("pixel", "PIXELS", "furlong", "", "inch")),
-        # The sign of a spacing is ignored; zero or text gives no positions.
-        ({"unit": "um", "spacing": -10}, 1, 10), ({"unit": "um", "spacing": 0}, 1, None),
+        # Frames may go down; a spacing of zero or text gives no positions.
+        ({"unit": "um", "spacing": -10}, 1, -10), ({"unit": "um", "spacing": 0}, 1, None),
         ({"unit": "um", "spacing": "two"}, 1, None),
         # Each axis has its own unit: a pixel is 1000 nm in x and 1 µm in y.
         *((OWN_UNITS | {"zunit": unit}, 1, step) for unit, step in (
