@@ -66,10 +66,10 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     Parameters
     ----------
     path : path-like
-        Text in UTF-8 with two columns without names, or with columns x and y, or col and row, among
-        others. The separator is a comma, semicolon, tab or space. Decimal commas are read if the
-        separator is a semicolon or a tab. Empty lines and text after a # are skipped. A name may
-        have a unit, such as ``x (px)`` or ``y_um``.
+        Text in UTF-8 with two columns and no names, or with columns named x and y, or col and row,
+        among others. The separator is a comma, semicolon, tab or space. Decimal commas are read if
+        the separator is a semicolon or a tab. Empty lines and text after a # are skipped. A name
+        may have a unit, such as ``x (px)`` or ``y_um``.
 
     Returns
     -------
@@ -113,6 +113,9 @@ def read_outline(path: str | PathLike[str]) -> OutlineTable:
     if np.isnan(numbers[0, :2]).any():
         columns, unit, y_down = _columns(path, [str(name).strip() for name in cells.iloc[0]])
         first = 1
+    elif len(cells.columns) != 2:
+        problem = "must have the names of its columns, such as x and y, if these are not all"
+        raise ValueError(f"{path} {problem}, got {len(cells.columns)} columns")
     points = numbers[first:, columns]
     wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if wrong.size or not points.size:

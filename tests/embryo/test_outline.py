@@ -259,6 +259,8 @@ def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
         ("x,y\n1,2\n\n3,\n4,5\n", r"numbers in the columns x and y, got \['3', nan\]"),
         ("# by hand\nx,y\n1,2\n2,nan\n3,4\n", r"numbers in the columns x and y, got \['2', nan\]"),
         ("1,2\n2,about 3\n3,4\n", r"numbers in the columns x and y, got \['2', 'about 3'\]"),
+        ("0,1,2\n1,2,3\n", "the names of its columns, such as x and y, .* got 3 columns"),
+        ("1\n2\n", "the names of its columns, such as x and y, .* got 1 columns"),
         ("1,2\n2,3\n3,4,5\n", "a table with the columns x and y: .* in line 3, saw 3"),
         ("x_um,y_px\n1,2\n", "x and y in one unit, got um and px"),
         (b"\x89PNG\r\n\x1a\n\x00\x00\xff", "a table of text"),
