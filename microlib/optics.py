@@ -235,7 +235,7 @@ class BlurLadder:
     Raises
     ------
     ValueError
-        If the image is not finite or `largest` is negative.
+        If the image is not finite, or `largest` is negative or above the image's longest side.
 
     Notes
     -----
@@ -254,7 +254,7 @@ class BlurLadder:
 
     def __init__(self, image: ArrayLike, largest: float) -> None:
         focused = as_image("image", image)
-        self.largest = as_scalar("largest", largest, least=0)
+        self.largest = as_scalar("largest", largest, least=0, most=max(focused.shape))
         span = np.log(max(self.largest, _FIRST_LEVEL) / _FIRST_LEVEL) / np.log(_LEVEL_RATIO)
         levels = _FIRST_LEVEL * _LEVEL_RATIO ** np.arange(int(np.ceil(span)) + 3)
         self._levels = np.concatenate([[0.0], levels])
@@ -305,7 +305,8 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     Raises
     ------
     ValueError
-        If the image or `sigma` is not finite, `sigma` is negative, or the shapes differ.
+        If the image or `sigma` is not finite, `sigma` is negative or above the longest side of the
+        image, which leaves no more than its mean, or the shapes differ.
 
     Notes
     -----
@@ -323,7 +324,8 @@ def defocus(image: ArrayLike, sigma: ArrayLike) -> NDArray[np.float32]:
     >>> [round(float(blurred[4, x]), 3) for x in (3, 5)]
     [0.097, 0.035]
     """
-    blur = as_array("sigma", sigma, least=0)
+    focused = as_image("image", image)
+    blur = as_array("sigma", sigma, least=0, most=max(focused.shape))
     if blur.ndim == 0:
-        return _blurred(as_image("image", image), float(blur)).copy()
+        return _blurred(focused, float(blur)).copy()
     return BlurLadder(image, float(blur.max())).at(blur)

@@ -41,13 +41,13 @@ SMALL = np.zeros((4, 5))
 LENGTH = [*BROKEN, 0, -1]
 #: What is refused in place of each argument.
 REFUSED = {
-    optics.BlurLadder: {"largest": NEGATIVE},
+    optics.BlurLadder: {"largest": [*NEGATIVE, 1e5]},
     optics.BlurLadder.at: {"sigma": lambda valid: [*not_finite(valid), SMALL, 4.1]},
     optics.blur_radius: {
         "object_distance": not_finite, "sensor_distance": [*LENGTH, 90.0],
         **dict.fromkeys(("focal_length", "aperture_radius"), LENGTH),
     },
-    optics.defocus: {"sigma": [*BROKEN, -1, SMALL]},
+    optics.defocus: {"sigma": [*BROKEN, -1, 1e5, SMALL]},
     optics.gaussian_kernel: {"size": [*NO_COUNT, 6]},
     optics.gaussian_transfer: {"u": BROKEN, "v": not_finite, "sigma": [*BROKEN, -1]},
     optics.image_distance: {"object_distance": lambda valid: [*not_finite(valid), 50.0]},
