@@ -33,7 +33,7 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
     Raises
     ------
     ValueError
-        If an angle is not a finite number within ±1e9.
+        If an angle is not a finite number.
 
     Examples
     --------
