@@ -191,7 +191,7 @@ def dimple_depth(
     probe_half_width: ArrayLike,
     poisson_ratio: ArrayLike,
 ) -> Array:
-    r"""Return the depth to which a force presses a membrane, equation (4.7) solved for w_d.
+    r"""Return the depth to which a force presses a membrane, by equation (4.7).
 
     .. math:: w_d = \left(\frac{F a^2 (1-\nu)}{2\pi E h\, S(c/a)}\right)^{1/3}
 
