@@ -44,12 +44,7 @@ def euler_rotation(alpha: float, beta: float, gamma: float) -> Array:
            [ 0., -1.,  0.],
            [ 0.,  0., -1.]])
     """
-    return _rotation(
-        *(
-            as_scalar(name, angle)
-            for name, angle in (("alpha", alpha), ("beta", beta), ("gamma", gamma))
-        )
-    )
+    return _rotation(as_scalar("alpha", alpha), as_scalar("beta", beta), as_scalar("gamma", gamma))
 
 
 def _rotation(alpha: float, beta: float, gamma: float) -> Array:

@@ -748,6 +748,20 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
+def test_full_standard_output_is_named_in_the_error(tmp_path):
+    line = ["-m", "microlib", "modulus", "outline.csv", *f"--force 10 {MODULUS}".split()]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            [sys.executable, *line, "-o", tmp_path / "m.csv"],
+            cwd=INPUTS, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=False,
+            stdout=full, stderr=subprocess.PIPE, encoding="utf-8",
+        )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (
+        2, "microlib modulus: standard output: No space left on device\n",
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(("source", "out"), [("focal_stack.tif", ""), ("", "out")])
 def test_empty_name_is_not_the_current_folder(source, out, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -61,7 +61,11 @@ class Session:
     def say(self, text: object) -> None:
         """Print a result or a scale that is used."""
         if not self.quiet:
-            tqdm.write(str(text))  # above a progress bar
+            try:
+                tqdm.write(str(text))  # above a progress bar
+            except OSError as error:
+                error.filename = "standard output"
+                raise
 
     def note(self, text: object) -> None:
         """Keep a message for the end of the run, where it is seen."""

@@ -137,11 +137,9 @@ class Loop:
 
     def now(self) -> float:
         """Return the time from the first exposure, s."""
-        return (
-            0.0
-            if self._first_exposure is None
-            else self.workstation.clock.now() - self._first_exposure
-        )
+        if self._first_exposure is None:
+            return 0.0
+        return float(self.workstation.clock.now()) - self._first_exposure
 
     def run(self, jacobian: Array | None) -> None:
         """Observe, calibrate if there is no Jacobian, and go to the targets."""

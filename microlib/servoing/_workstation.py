@@ -52,9 +52,9 @@ class StageModel:
     def rounded(self, position: Array) -> Array:
         """Return the position rounded to the increments of the drive, µm."""
         position = as_array("position", position)
-        return (
-            np.rint(position / self.increment) * self.increment if self.increment > 0 else position
-        )
+        if self.increment == 0:
+            return position
+        return np.rint(position / self.increment) * self.increment
 
 
 @dataclass(frozen=True)
