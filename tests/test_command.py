@@ -1092,6 +1092,20 @@ USER_STYLE = {
 }  # fmt: skip
 
 
+def test_progress_is_seen_on_a_terminal_that_states_no_width(tmp_path):
+    """As that of `script`; a new pseudo-terminal has 0 columns."""
+    pty = pytest.importorskip("pty")
+    leader, follower = pty.openpty()
+    command = [sys.executable, "-m", "microlib", *f"track {INPUTS}/frames.tif {BOX}".split()]
+    subprocess.run([*command, "-o", tmp_path / "a.csv", "--no-look"], stderr=follower, check=True)
+    os.set_blocking(leader, False)
+    shown = os.read(leader, 4096).decode()
+    for end in (leader, follower):
+        os.close(end)
+    assert "track:" in shown
+    assert "/40" in shown
+
+
 def test_user_style_does_not_change_the_picture(tmp_path, capsys):
     looks = []
     for name, style in (("plain", {}), ("own", USER_STYLE)):

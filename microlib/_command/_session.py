@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from math import floor, inf, log10
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from tqdm import tqdm
@@ -73,11 +74,15 @@ class Session:
 
     def bar(self, steps: Any = None, **options: Any) -> Any:
         """Return a progress bar, which is shown only in a terminal."""
+        columns, lines = get_terminal_size()  # 80 and 24 where a terminal states none
         return tqdm(
             steps,
             desc=self.task,
             leave=False,
             disable=self.quiet or sys.stderr is None or None,
+            ncols=columns,
+            nrows=lines,
+            miniters=1,  # also where slow frames, as of a lost part, follow fast ones
             **options,
         )
 
