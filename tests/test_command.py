@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import json
+import logging
 import os
 import re
 import shlex
@@ -56,6 +57,14 @@ def status(line: str, out: Path | str, look: str = "--no-look") -> int:
         return main([task, str(INPUTS / source), *options, *look.split(), "-o", str(out)])
     except SystemExit as end:
         return int(end.code)
+
+
+def run_alone(line: str, out: Path, monkeypatch) -> int:
+    """Run a task as a program of its own, which changes its streams; return its exit status."""
+    given = ["microlib", *shlex.split(line), "--no-look", "-o", str(out)]
+    monkeypatch.setattr(sys, "argv", given)
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    return main()
 
 
 @pytest.fixture
@@ -370,7 +379,7 @@ def test_each_photograph_has_its_line_as_soon_as_it_is_searched(tmp_path, monkey
 
     monkeypatch.setattr("microlib.calibration.detect_pattern", search)
     monkeypatch.setattr("sys.stdout", printed)
-    status(f"calibrate '{tmp_path}/*.png' --pitch 200", tmp_path / "out", "")
+    run_alone(f"calibrate '{tmp_path}/*.png' --pitch 200", tmp_path / "out", monkeypatch)
     first, second = (
         f"{tmp_path}/{line}\n"
         for line in ("a.png: left out", "b.png: circles: Detection of 9 points")
@@ -1077,11 +1086,22 @@ def test_letters_that_a_terminal_lacks_are_replaced(tmp_path, monkeypatch, encod
     monkeypatch.setattr(sys, "stderr", err)
     photo = tmp_path / "сетка.png"
     photo.write_bytes((INPUTS / "circles.png").read_bytes())
-    assert status(GRID.replace("circles.png", str(photo)), tmp_path / "µ") == 0
+    line = GRID.replace("circles.png", str(photo))
+    assert run_alone(line, tmp_path / "µ", monkeypatch) == 0
     out.flush()
     assert b"circles: " in out.buffer.getvalue()
     assert not err.buffer.getvalue()
     assert len(list((tmp_path / "µ").iterdir())) == 3
+
+
+def test_program_that_calls_main_keeps_streams_environment_and_loggers(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", TextIOWrapper(BytesIO(), "ascii"))
+    monkeypatch.delenv("OPENCV_LOG_LEVEL", raising=False)
+    environment, handlers = dict(os.environ), [*logging.getLogger("tifffile").handlers]
+    assert status(f"{STACK} --quiet", tmp_path / "out") == 0
+    assert sys.stdout.errors == "strict"
+    assert dict(os.environ) == environment
+    assert logging.getLogger("tifffile").handlers == handlers
 
 
 #: Settings that turn pictures upside down, need LaTeX, or change colors, sizes and formats.

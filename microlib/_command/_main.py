@@ -44,12 +44,13 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status, as its help lists them."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # replace letters that the console's encoding lacks
-            stream.reconfigure(errors="replace", line_buffering=True)
-    # Silence the messages that libraries print themselves.
-    os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
-    logging.getLogger("tifffile").addHandler(logging.NullHandler())
+    if arguments is None:  # a program that calls it keeps its streams, environment and loggers
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):  # replace letters that the console's encoding lacks
+                stream.reconfigure(errors="replace", line_buffering=True)
+        # Silence the messages that libraries print themselves.
+        os.environ |= {"OPENCV_LOG_LEVEL": "OFF", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
+        logging.getLogger("tifffile").addHandler(logging.NullHandler())
     parser = _parser()
     given = list(sys.argv[1:] if arguments is None else arguments)
     for k in range(len(given) - 1, 0, -1):  # argparse takes -25um for an option
