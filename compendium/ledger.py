@@ -3,8 +3,8 @@
 ``data/thesis/claims.toml`` holds every printed number and every sentence that states a result,
 once. A claim is of one of four kinds, which are also the verdicts (`Verdict`):
 
-- `Follows`: computed from other printed numbers alone, within their rounding.
-- `Contradicts`: computed from other printed numbers alone, in every reading that the row names. No
+- `Follows`: printed numbers and formulas, or mathematics alone, give it, within the rounding.
+- `Contradicts`: the same prove it wrong, in every reading that the row names. No
   limit and no assumption of ours takes part; the proof is one line.
 - `Possible`: a run with named assumptions gives it. An assumption that was chosen to
   obtain the printed number, or so that the sentence holds, is named first.
@@ -177,7 +177,7 @@ class Compared(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Follows(Compared):
-    """A claim that follows from other printed numbers alone, within their rounding.
+    """A claim that printed numbers and formulas, or mathematics alone, give within the rounding.
 
     The number may differ by half a unit in the last printed place, and by what the rounding of the
     printed inputs can change.
@@ -200,7 +200,7 @@ class Follows(Compared):
 
 @dataclass(frozen=True, kw_only=True)
 class Contradicts(Compared):
-    """A claim that other printed numbers prove wrong, in every reading that is known.
+    """A claim that printed numbers and formulas, or mathematics, prove wrong in each known reading.
 
     Attributes
     ----------

@@ -43,11 +43,12 @@ CLAIMS = ROOT / "build" / "claims"
 #: The head of the column with the numbers of this book.
 FOUND = "Recomputed or simulated"
 #: The verdicts for a new reader.
+PROOF = "printed numbers and formulas, or mathematics alone,"
 MEANINGS = {
-    ledger.Verdict.CONTRADICTS: "printed numbers prove it wrong",
-    ledger.Verdict.OPEN: "what was published does not decide it",
-    ledger.Verdict.POSSIBLE: "it holds under named assumptions",
-    ledger.Verdict.FOLLOWS: "other printed numbers give it",
+    ledger.Verdict.CONTRADICTS: f"{PROOF} prove the claim wrong",
+    ledger.Verdict.OPEN: "what was published does not decide the claim",
+    ledger.Verdict.POSSIBLE: "the claim holds under named assumptions",
+    ledger.Verdict.FOLLOWS: f"{PROOF} give the claim",
 }
 
 
@@ -234,7 +235,7 @@ class LedgerTable(SphinxDirective):
 def grounds(claim: ledger.Entry) -> list[nodes.Node]:
     """Return what a verdict rests on, as one paragraph for each kind of evidence."""
     if isinstance(claim, ledger.Follows):
-        return [line("The printed formulas and numbers alone.")]
+        return [line("Printed numbers and formulas, or mathematics alone.")]
     told = {name: text for name, text in claim.explanations().items() if text}
     kept = {name: text for name, text in told.items() if name not in ("Right", "Rule")}
     return [line(_sentence(f"{name}: {text}")) for name, text in kept.items()]
@@ -309,7 +310,7 @@ class Errata(SphinxDirective):
             lines += ["", f"**Printed:** {entry['printed']}", ""]
             if reading := entry.get("reading"):
                 lines += [f"**A reading without an error:** {reading}", ""]
-            right = "Right in the other reading" if reading else "Right"
+            right = "In the other reading, the text should say" if reading else "Right"
             lines += [f"**{right}:** {entry['corrected']}", ""]
             lines += [entry["proof"], "", f'<span class="erratum-sources">{ways}</span>']
             result.append(parse_lines(self, lines, section(f"erratum-{name}", entry["title"])))
