@@ -136,12 +136,12 @@ class Calibration(Result):
         if self.inconsistent:
             numbers = ", ".join(str(view + 1) for view in self.inconsistent)
             lines.append(f"  inconsistent, to be left out: view {numbers}, counted from 1")
-        pixel = self.parameters.get("pixel_aspect")
+        aspect = self.parameters.get("pixel_aspect")
         if self.print_aspect != 1:
             remedy = "pitch must be the distances of marks along both directions of the pattern"
             lines.append(f"  the print is not square: ratio {self.print_aspect:.4f}; {remedy}")
-        elif pixel and not pixel.low <= 1 <= pixel.high:
-            lines.append(f"  the pixels or the print are not square: ratio {pixel}")
+        elif aspect and not aspect.low <= 1 <= aspect.high:
+            lines.append(f"  the pixels or the print are not square: ratio {aspect}")
         if not self.adequate:
             lines.append(
                 f"  the model is not adequate: lack of fit {self.lack_of_fit:.3g}, error in the "
