@@ -79,14 +79,15 @@ def solve(
     return egg.modulus, r[::5], z[::5]
 
 
-def deviation(rim: str, radius: float, r: NDArray, z: NDArray) -> float:
+def deviation(r: NDArray, z: NDArray) -> float:
     """Return the largest distance in height of a model from the printed outline, µm.
 
-    It is taken on the side of the chosen rim, from the probe to the rim.
+    It is taken between both rims, as far as the model is drawn.
     """
     across, height = outline()
-    side = -1 if rim == "left" else 1
-    return np.abs(z - np.interp(side * r, across, height))[r <= radius].max()
+    (left, _), (right, _) = dimples().values()
+    between = (across >= -min(left, r[-1])) & (across <= min(right, r[-1]))
+    return np.abs(np.interp(np.abs(across), r, z) - height)[between].max()
 
 
 def band_of(model: str, radius: float, depth: float) -> dict[str, object] | None:
@@ -107,13 +108,14 @@ def states() -> dict[str, dict[str, object]]:
         bands = {model: band_of(model, *size) for model in MODELS}
         for c in HALF_WIDTHS:
             solved = {model: solve(model, *size, c) for model in MODELS}
-            texts = [
-                f"The {PROFILES[model]} deviates from the outline by up to "
-                f"{deviation(rim, size[0], *one[1:]):.0f} µm."
-                if one
-                else f"No closed capsule has a dimple with the radius and depth of the {rim} rim."
+            apart = [
+                f"the {PROFILES[model]} by up to {deviation(*one[1:]):.0f} µm"
                 for model, one in solved.items()
+                if one
             ]
+            texts = [f"Between the rims, the outline deviates from {' and from '.join(apart)}."]
+            if None in solved.values():
+                texts += [f"No closed capsule has the radius and depth of the {rim} rim."]
             probe = {"x": BOTTOM[0] - SCALE * c, "width": 2 * SCALE * c}
             for model, one in solved.items():
                 state: dict[str, object] = {"path": "", "at": None, "band": None}

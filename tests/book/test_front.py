@@ -49,6 +49,15 @@ def test_front_figure_has_numbers_of_chapters(html: Path, claims_folder: Path) -
     radius, depth = printed_dimple()
     assert np.ptp(points[:, 0]) / scale == pytest.approx(2 * radius, abs=0.3)
     assert (bottom - points[0, 1]) / scale == pytest.approx(depth, abs=0.3)
+    # The deviation in the text is the largest one that is drawn between both rims.
+    drawn = re.search(r'class="outline" d="M(.*?)"', text)
+    rims = [float(x) for x in re.findall(r'data-part="(?:left|right)" d="M([\d.]+),', text)]
+    stated = re.search(r"point-load model by up to (\d+) µm", state["text"])
+    assert drawn
+    assert stated
+    x, y = np.array([pair.split(",") for pair in drawn[1].split()], float).T
+    apart = np.abs(np.interp(x, *points.T) - y)[(x >= rims[0]) & (x <= rims[1])].max() / scale
+    assert apart == pytest.approx(float(stated[1]), abs=0.6)
 
 
 def test_front_figure_works_by_keyboard_on_phone(page: Page, html: Path) -> None:
