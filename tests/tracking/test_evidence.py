@@ -302,6 +302,23 @@ def test_object_is_found_or_lost_but_the_ground_in_its_box_is_not_followed(
     assert found > 16 if share == 0.3 else "two motions" in reasons
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_something_small_that_moves_within_the_box_does_not_make_the_rest_ground(seed):
+    """The template moves with its surroundings, and 3 % of the box otherwise."""
+    rng, box = default_rng(seed), (60, 50, 80, 70)
+    ground = mixed_texture((180, 220), rng, scales=(2.0, 6.0), std=25.0)
+    small = mixed_texture((12, 12), rng, scales=(1.5,), std=50.0)
+    tracker = None
+    for k in range(5):
+        x, y, image = 84 + 3 * k, 70 + 2 * k, ground.copy()
+        image[y : y + 12, x : x + 12] = small
+        frame = camera_frame(translated(image, (2 * k, k)), rng)
+        tracker = tracker or ESMTracker(frame, box, "translation")
+        track = tracker.track(frame)
+        assert not track.lost
+        assert np.abs(track.corners - corners_of(box) - (2 * k, k)).max() < 0.2
+
+
 @pytest.mark.parametrize("motion", ["translation", "affine", "homography"])
 @pytest.mark.parametrize("size", [50, 140])
 def test_part_in_a_mask_is_tracked_before_ground_that_fills_most_of_the_box(size, motion):

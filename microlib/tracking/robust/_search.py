@@ -181,7 +181,7 @@ class Search:
         )
         if settings.threshold <= probability < 1:
             around, elsewhere, there = points.ground_evidence(layer, fit.pose, fit.hidden)
-            moved = elsewhere > settings.elsewhere
+            moved = elsewhere > settings.elsewhere and fit.hidden.mean() > settings.least_object
             if (moved or self.parted) and around > (there if moved else settings.around):
                 candidate, probability = replace(candidate, reason="two motions"), 0.0
             elif around < settings.around:
