@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from microlib.calibration import (
@@ -21,6 +22,7 @@ from microlib.calibration import (
     linear_intrinsics,
     radial_alignment,
 )
+from microlib.calibration.adequacy._lack_of_fit import f_test
 from microlib.estimate import Estimate
 from microlib.microscope import Microscope
 from tests.scenes.calibration import (
@@ -427,6 +429,21 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
     assert 0.9 * scale["exact"] < noise_alone < scale["lacking"] / 2
     assert adequate["exact"] >= 0.9  # by chance, one in a thousand is not
     assert sigma["lacking"] > 2 * sigma["exact"]
+
+
+def test_lack_of_fit_is_tested_by_the_f_ratio_of_nested_models():
+    rng = np.random.default_rng(0)
+    jacobian, basis = rng.normal(size=(48, 8)), rng.normal(size=(48, 6))
+    seen = rng.normal(size=48)
+    rest, noise = (
+        seen - model @ np.linalg.lstsq(model, seen)[0]
+        for model in (jacobian, np.hstack([jacobian, basis]))
+    )
+    dof = 48 - 8 - 6
+    ratio = (rest @ rest - noise @ noise) / 6 / (noise @ noise / dof)
+    found = f_test(rest, jacobian, np.linalg.inv(jacobian.T @ jacobian), basis, 0.0)
+    assert found.lack_of_fit**2 == pytest.approx(ratio)
+    assert found.p_value == pytest.approx(fisher.sf(ratio, 6, dof))
 
 
 def test_wide_angle_views_are_fitted_if_the_linear_distortion_is_too_large():

@@ -37,14 +37,18 @@ def test_exact_stage_moves_give_the_exact_map(angle, mirrored):
 
 def test_intervals_of_a_stage_scale_contain_the_truth_as_often_as_stated():
     matrix, inside, scores = turned(1.6, 0.4) @ [[1, 0], [0.9, 0.5]], [], []
-    moves = MOVES * [1, 0.2]  # the two axes are determined with different uncertainty
+    # The two axes are determined with different uncertainty, far from the zero of the stage.
+    moves = MOVES * [1, 0.2] + [1e4, -3e3]
+    true = np.column_stack([matrix, -matrix @ [1e4, -3e3]])
     size = 1 / np.sqrt(np.linalg.det(matrix))
     for seed in range(400):
-        seen = moves @ matrix.T + np.random.default_rng(seed).normal(0, 0.3, moves.shape)
+        seen = (
+            moves @ matrix.T + true[:, 2] + np.random.default_rng(seed).normal(0, 0.3, moves.shape)
+        )
         found = stage_affine(moves, seen)
         low, high = found.um_per_pixel.interval
         inside.append(low <= size <= high)
-        error = (found.matrix - np.column_stack([matrix, [0, 0]])).ravel()
+        error = (found.matrix - true).ravel()
         scores.append(error @ np.linalg.solve(found.covariance, error) / 6)
     hold_coverage(inside, 0.95)
     # F with 6 and 8 degrees of freedom: mean 8/6, standard deviation 1.3.
