@@ -287,24 +287,26 @@ def chessboards() -> list[np.ndarray]:
     ],
 )  # fmt: skip
 def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys, figures):
-    """Without photographs of nothing, of another size and of another aspect ratio."""
+    """Without photographs of nothing, of another size and of other aspect ratios."""
     images, photos = chessboards(), [tmp_path / f"view_{k}.png" for k in range(5)]
     others = {
         "blank[1]": np.full((400, 480), 200, np.uint8),
         "view_wide": np.pad(images[0], 4, mode="edge"),
         "view_stretched": cv2.resize(images[1], None, fx=1.5, fy=1.0)[:, 120:600],
+        "view_tall": cv2.resize(images[2], None, fx=1.0, fy=1.4)[80:480],
     }
     for photo, image in zip(photos, images, strict=True):
         cv2.imwrite(str(photo), image)
     for name, image in others.items():
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
-    line = f"calibrate {' '.join(map(str, photos))} {tmp_path}/view_[sw]*.png {line}"
+    line = f"calibrate {tmp_path}/view_[stw]*.png {' '.join(map(str, photos))} {line}"
     assert status(line.replace(" --", f" {tmp_path}/blank[1].png --", 1), tmp_path / "out", "") == 0
     printed = capsys.readouterr()
-    assert printed.out.count("png: chessboard: Detection of 48 points") == 7
+    assert printed.out.count("png: chessboard: Detection of 48 points") == 8
     assert f"left out {tmp_path}/blank[1].png: " in printed.err
     assert "wide.png: its size is 488×408 px, of most 480×400" in printed.err
-    assert "stretched.png: it shows another pattern or lens than the others" in printed.err
+    others = re.findall(r"(\w+).png: it shows another pattern or lens than the", printed.err)
+    assert sorted(others) == ["view_stretched", "view_tall"]
     # The same as the calls of the library.
     found = [calibration.detect_squares(image, pattern="chessboard") for image in images]
     result = calibration.calibrate(found, **{"pitch": 100.0, "pixel_pitch": 5.0} | given)
@@ -597,7 +599,10 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     printed = capsys.readouterr().out
     for given in ("force_uncertainty 3 µN", "thickness_uncertainty 0.2 µm"):
         assert f"{given} (given)" in printed
-    found = pd.read_csv(tmp_path / "out.csv", index_col="quantity")["value"]
+    table = pd.read_csv(tmp_path / "out.csv", index_col="quantity").fillna({"unit": ""})
+    found, unit = table["value"], table["unit"]
+    rights = unit.filter(like="right_")
+    assert [*rights] == [*unit[rights.index.str.removeprefix("right_")]]
     x, y = pd.read_csv(INPUTS / "outline.csv").sort_values("x").to_numpy().T
     measured = dimple_from_outline(x, y, pixel_size=3.875)
     title = figures[0].axes[0].get_title()
