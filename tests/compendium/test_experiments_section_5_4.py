@@ -49,6 +49,17 @@ def test_velocity_saturates_for_most_of_settling_time(station):
     assert 0.75 < section_5_4.saturated_share(station, draws=3) < 1
     fast = replace(station, saturation=dict.fromkeys(thesis.ZOOMS, 1e4))
     assert section_5_4.saturated_share(fast, draws=3) < 0.5
+    # With ten times the errors of the calibration, one axis leaves the limit long before the other.
+    turned = replace(station, assumed=section_5_4.Assumed(calibration=10.0))
+    assert section_5_4.saturated_share(turned, draws=3) < 0.7
+
+
+def test_rare_errors_have_mean_and_deviation_of_drawn_distances():
+    rng = np.random.default_rng(0)
+    along, across = rng.normal(0, 2.0, (2, 400_000)) * (rng.random(400_000) < 0.3)
+    drawn = np.hypot(1.0 + along, across)
+    expected = pytest.approx((drawn.mean(), drawn.std()), rel=0.01)
+    assert section_5_4.rare_errors(1.0, 2.0, 0.3) == expected
 
 
 def test_readings_report_whether_printed_number_is_inside(station, monkeypatch):

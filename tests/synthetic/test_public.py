@@ -273,6 +273,13 @@ def test_rendered_pattern_follows_transposed_camera(draw):
     np.testing.assert_allclose(other, one.T, atol=2e-3)  # rows and columns in single precision
 
 
+@pytest.mark.parametrize("draw", [synthetic.render_circles, synthetic.render_squares])
+def test_edge_of_a_blurred_pattern_equals_the_same_points_in_a_larger_picture(draw):
+    blurred = ImagingConditions(blur=3.0)
+    larger = draw(scope(image_size=(170, 140)), imaging=blurred)[30:-30, 30:-30]
+    np.testing.assert_allclose(draw(scope(), imaging=blurred), larger, atol=0.03)
+
+
 def test_light_and_counts_of_a_rendered_pattern_follow_x_and_y():
     """Beside the pattern the ground is the light; the pattern has its rows and columns."""
     light = {"bright": 150.0, "dark": 40.0, "blur": 0.0}
