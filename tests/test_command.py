@@ -12,6 +12,7 @@ import sys
 from argparse import Namespace
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -382,15 +383,10 @@ def test_each_photograph_has_its_line_as_soon_as_it_is_searched(tmp_path, monkey
     monkeypatch.setattr("microlib.calibration.detect_pattern", search)
     monkeypatch.setattr("sys.stdout", printed)
     run_alone(f"calibrate '{tmp_path}/*.png' --pitch 200", tmp_path / "out", monkeypatch)
-    first, second = (
-        f"{tmp_path}/{line}\n"
-        for line in ("a.png: left out", "b.png: circles: Detection of 9 points")
-    )
-    assert [text.decode().partition("(given)\n")[2] for text in before] == [
-        "",
-        first,
-        first + second,
-    ]
+    first = f"{tmp_path}/a.png: left out\n"
+    second = f"{tmp_path}/b.png: circles: Detection of 9 points\n"
+    shown = [text.decode().partition("(given)\n")[2] for text in before]
+    assert shown == ["", first, first + second]
 
 
 MISFIT = {"adequate": False}
@@ -586,10 +582,7 @@ def test_each_fact_about_a_steep_dimple_of_a_thick_membrane_is_noted_once(tmp_pa
     line = f"{OUTLINE} --thickness 30 --quiet"
     assert status(line, tmp_path / "out.csv") == 0
     notes = capsys.readouterr().err.splitlines()
-    starts = [
-        "note: w_d/a = 0.19 > 0.1: small slopes",
-        "note: dimple_depth is 1.5 times the thickn",
-    ]
+    starts = ["note: w_d/a = 0.19 > 0.1: small", "note: dimple_depth is 1.5 times the thickn"]
     assert [note[: len(start)] for note, start in zip(notes, starts, strict=True)] == starts
 
 
@@ -616,11 +609,8 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
             values[name] = getattr(dimple, name)
             stds[name] = np.sqrt(dimple.covariance[k, k])
         modulus = membrane.elastic_modulus(**values)
-        own = {
-            "modulus_MPa": modulus,
-            **values,
-            **{f"{k}_uncertainty": std for k, std in stds.items()},
-        }
+        own = {"modulus_MPa": modulus, **values}
+        own |= {f"{name}_uncertainty": std for name, std in stds.items()}
         own["finite_slope_modulus_MPa"] = membrane.finite_slope_modulus(**values)
         for name, value in own.items():
             assert found[prefix + name] == pytest.approx(value, rel=1e-4), prefix + name
@@ -764,16 +754,10 @@ def test_error_has_one_line_and_leaves_no_file(line, message, tmp_path, capsys, 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device here")
 def test_full_standard_output_is_named_in_the_error(tmp_path):
-    line = ["-m", "microlib", "modulus", "outline.csv", *f"--force 10 {MODULUS}".split()]
     with open("/dev/full", "w") as full:
-        ended = subprocess.run(
-            [sys.executable, *line, "-o", tmp_path / "m.csv"],
-            cwd=INPUTS, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=False,
-            stdout=full, stderr=subprocess.PIPE, encoding="utf-8",
-        )  # fmt: skip
-    assert (ended.returncode, ended.stderr) == (
-        2, "microlib modulus: standard output: No space left on device\n",
-    )  # fmt: skip
+        ended = run("-m", "microlib", *OUTLINE.split(), "-o", tmp_path / "m.csv", stdout=full)
+    error = "microlib modulus: standard output: No space left on device\n"
+    assert (ended.returncode, ended.stderr) == (2, error)
 
 
 @pytest.mark.parametrize(("source", "out"), [("focal_stack.tif", ""), ("", "out")])
@@ -795,10 +779,7 @@ def test_empty_name_is_not_the_current_folder(source, out, tmp_path, capsys, mon
         ("--spacing 25 --pixel-size 3.9", ""),
         ("--spacing 25", "the maps have no scale, no mesh is written: give --pixel-size"),
         ("--pixel-size 3.9", "heights are in frames, no mesh is written: give --spacing"),
-        (
-            "",
-            "heights are in frames, the maps have no scale, no mesh is written: give --spacing and",
-        ),
+        ("", "in frames, the maps have no scale, no mesh is written: give --spacing and"),
     ],
 )
 def test_scale_of_a_stack_that_is_unknown_or_unlikely_is_noted(given, note, tmp_path, capsys):
@@ -864,10 +845,8 @@ def test_written_files_stay_when_a_later_file_fails(
     if owner is io or stopped:
         file = out / ("surface.ply" if kept else "height.ome.tif")
         reason = "stopped" if stopped else f"{file}: No space left on device"
-        assert (found, printed) == (
-            130 if stopped else 2,
-            f"microlib {line.split()[0]}: {reason}\n",
-        )
+        assert printed == f"microlib {line.split()[0]}: {reason}\n"
+        assert found == (130 if stopped else 2)
     else:  # a picture, without which the numbers are complete
         assert (found, printed.count("\n")) == (0, 1)
         assert printed.startswith("note: ")
@@ -882,16 +861,9 @@ def test_track_on_a_full_disk_keeps_whole_rows_and_no_broken_film(size, film, tm
     resource = pytest.importorskip("resource", reason="Windows has no such limit")
     out, old = tmp_path / "out.csv", tmp_path / "out_look.mp4"
     old.write_bytes(b"old")
-    ended = subprocess.run(
-        [sys.executable, "-m", "microlib", *f"track frames.tif {BOX} --no-look --overwrite".split(),
-            "-o", str(out), *["--video"] * film],
-        cwd=INPUTS,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )  # fmt: skip
+    line = f"-m microlib track frames.tif {BOX} --no-look --overwrite {'--video' * film}".split()
+    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))  # noqa: E731
+    ended = run(*line, "-o", out, preexec_fn=limit)
     rows = out.read_text().removesuffix("\n").split("\n")[1:]
     assert {row.count(",") for row in rows} == {32}
     assert not old.exists()
@@ -941,16 +913,12 @@ def test_help_lists_the_tasks_and_shows_an_example(capsys):
         assert f"Example: microlib {task} " in capsys.readouterr().out
 
 
-def run(*arguments: str, path: Path | str = "") -> subprocess.CompletedProcess:
+def run(*arguments: str | Path, path: Path | str = "", **how: Any) -> subprocess.CompletedProcess:
     """Run Python in the folder of the inputs, with another folder to import from."""
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=INPUTS,
-        env=os.environ | {"PYTHONPATH": f"{path}{os.pathsep}{ROOT}"},
-        capture_output=True,
-        encoding="utf-8",
-        check=False,
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "utf-8"}
+    env = os.environ | {"PYTHONPATH": f"{path}{os.pathsep}{ROOT}"}
+    line = [sys.executable, *arguments]
+    return subprocess.run(line, cwd=INPUTS, env=env, check=False, **streams | how)
 
 
 @pytest.mark.parametrize(
@@ -1059,9 +1027,8 @@ def test_files_on_the_command_line_are_read_in_natural_order(tmp_path, capsys):
 def test_axis_of_a_stack_is_given_as_its_error_says(axes, tmp_path, capsys):
     """As `tifffile.imwrite` labels an array by default, and Fiji a stack of slices."""
     frames = tifffile.imread(INPUTS / "focal_stack.tif")
-    tifffile.imwrite(
-        path := tmp_path / "a.tif", frames, imagej=True, metadata={"axes": f"{axes}YX"}
-    )
+    path, labels = tmp_path / "a.tif", {"axes": f"{axes}YX"}
+    tifffile.imwrite(path, frames, imagej=True, metadata=labels)
     line = f"depth {path} --spacing 25 --pixel-size 3.9"
     assert status(line, tmp_path / "out") == 2
     (axis,) = re.findall(r"\((--axis .)\)", capsys.readouterr().err)
