@@ -204,8 +204,8 @@ def surface_curvature(
     window coefficients, divided by the square of the pixel size. The uncertainty of H is computed
     to first order in the errors of the second derivatives, and the uncertainty of K to second
     order, because the terms of first order vanish on a plane. Errors of the first derivatives are
-    neglected. Relative to errors of the second derivatives, their effect is about the window size
-    divided by the radius of curvature.
+    neglected. Relative to the errors of the second derivatives, the effect of those of the first
+    is about the window size divided by the radius of curvature.
 
     A value depends only on the pixels within a distance of `size` − 1 pixels along rows and
     columns. Tiles with this overlap, such as those of `dask.array.map_overlap`, give the same

@@ -221,7 +221,7 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 class BlurLadder:
-    """Copies of an image with increasing blur, between which any map of blur is interpolated.
+    """Copies of an image with increasing blur, to interpolate an image with any map of blur.
 
     It is faster than `defocus` if one image is defocused many times, as in a focal stack.
 

@@ -133,22 +133,23 @@ def calibrate(
 
     *Several views* share the distortion and, without a given `focal_length`, the length T_op + f.
     Each view has its own magnification M and its own pose. From the second view on, the names of
-    these parameters end in the number of the view. Because M = T_op/f in focus, the shared length
-    T_op + f is f (1 + M), and an estimated f differs between views of different M. The result
-    contains the f of the first view.
+    these parameters end in the number of the view. In focus, the shared length T_op + f is
+    f (1 + M). An estimated f therefore differs between views of different M; the result contains
+    that of the first view.
 
-    With several views, three extensions of the model are tried. Each is kept if it lowers the
+    For a single view, the principal point is assumed in the middle, as in the thesis. With several
+    views, three extensions of the model are tried. Each is kept if it lowers the
     Bayesian information criterion:
 
     - "distortion_k2" (1/µm⁴), a second coefficient of distortion, see
       :func:`microlib.microscope.undistort`;
-    - "principal_x" and "principal_y", the principal point in px from the middle of the image. A
-      single view has its principal point in the middle, as in the thesis;
+    - "principal_x" and "principal_y", the principal point in px from the middle of the image;
     - "pixel_aspect", the height of a pixel divided by its width, both relative to `pixel_pitch`. In
       addition, it must differ from 1 by more than 0.003.
 
-    *A stretched print*: many printers stretch the pattern in one direction. `print_aspect` reports
-    this if it explains at least half of the squared residuals of several views. Measure the print
+    *A stretched print*: many printers stretch the pattern in one direction. `print_aspect` is the
+    estimated stretch. It is given only if the stretch explains at least half of the squared
+    residuals of several views. Measure the print
     along both directions, and give both numbers as `pitch`.
 
     *Inconsistent views*: `inconsistent` lists views that contradict the largest set of views that

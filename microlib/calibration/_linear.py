@@ -90,7 +90,7 @@ def _euler_angles(block: Array) -> Array:
 
 
 def linear_intrinsics(flat: ArrayLike, depth: ArrayLike, sensor: ArrayLike) -> Array:
-    """Return, from a known pose, the magnification, distortion and inverse distance of the plane.
+    """Return the magnification, distortion and 1/distance of a plane from its known pose.
 
     Parameters
     ----------

@@ -153,9 +153,9 @@ def modulus_from_image(
     Returns
     -------
     ImageEstimate
-        The `modulus` with its uncertainty and interval, the `dimple` and the `boundary`. The
-        properties `model_moduli` and `model_interval` contain the moduli by all models of the same
-        dimple, and their range.
+        The `modulus` with its uncertainty and interval, the `dimple` and the `boundary`.
+        `model_moduli` contains the modulus by each model that has a solution, and `model_interval`
+        the range of these moduli with their intervals.
 
     Raises
     ------

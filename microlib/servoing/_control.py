@@ -236,7 +236,7 @@ def loop_poles(gain: float, delay: float = 0.0) -> NDArray[np.complex128]:
 
 
 class OptimalController:
-    """Controller (2.28) with a constant Jacobian and the reference of the next sample.
+    """Controller (2.28) with a constant Jacobian, which steers to the reference of the next sample.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ def render_squares(
     imaging: ImagingConditions | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> NDArray[np.float32]:
-    """Render dark squares, one side apart, whose corners are the world points (i, j)·side.
+    """Render dark squares with gaps of one side; their corners are the points (i, j)·side.
 
     Square (m, n) has its corners at (2m, 2n), (2m+1, 2n), (2m+1, 2n+1) and (2m, 2n+1) times `side`,
     so the corners of all squares form one regular grid.

@@ -39,10 +39,10 @@ class ESMTracker:
 
     Efficient second-order minimization (ESM) [1]_ [2]_ aligns the template with each frame,
     starting from the expected pose. The template is then divided into blocks, which are compared
-    with the frame. If too many blocks differ by more than the noise, the alignment is continued
-    with a model of changes of light, blur and the curve of grey levels. Hidden parts get less
-    weight, by Tukey's function [3]_. If this result is not accepted, further attempts start from
-    other poses. Chapter 2 of the book explains the attempts.
+    with the frame. If too many blocks differ by more than the noise, a second alignment starts
+    from this pose, with a model of changes of light, blur and the camera's response curve. Hidden
+    parts get less weight, by Tukey's function [3]_. If this result is not accepted, further
+    attempts start from other poses. Chapter 2 of the book explains the attempts.
 
     The first result whose estimated probability of being right is at least 0.7, and whose position
     is unambiguous, is accepted. If there is no such result, the template is reported as lost. In
