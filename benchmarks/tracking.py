@@ -407,6 +407,8 @@ row has {TRIALS} pairs.
   its surroundings. *Other image*: the whole frame shows another photograph.
 - *Success*: all corners are found to within 1 px. *Silent*: the error is more than 3 px, and the
   template is not reported as lost.
+  Of 2880 pairs, these 720 and 2160 others, 0.48 % are silent (0.24 % in version 0.5.0), and more
+  templates are found (75.2 % instead of 74.5 % of all pairs).
 - *z-rms*: root mean square of the errors of the center, divided by their stated standard
   deviation.
 - *Returns*: the template is hidden for some frames and reappears 32 px away.
