@@ -393,9 +393,9 @@ outermost 16 px.
   the method, more pixels can have a depth and count in the error. A ratio below 1 together with
   more unknown pixels is therefore not an improvement.
 - *Steps of the surface.* Unlike version 0.5.0, the method does not fit a second time at full size,
-  which took half of the time. The errors on blocks are twice those of 0.5.0, and those on the step
-  and the ball 1.3 times. With photographs as texture, the errors on steps are 9 % smaller and those
-  on balls 3 % smaller (geometric means).
+  which took up to a fifth of the time. The errors on blocks are twice those of 0.5.0, and those on
+  the step and the ball 1.3 times. With photographs as texture, the errors on steps are 9 % smaller
+  and those on balls 3 % smaller (geometric means).
 """
 
 

@@ -264,7 +264,7 @@ constants.
 *Deciles*: pixels are sorted by their stated uncertainty. The RMS error of each tenth is divided by
 the RMS of the stated uncertainty.
 
-*Steep roofs*: without the second fit at full size, which took more than half of the time, the
+*Steep roofs*: without the second fit at full size, which took up to a fifth of the time, the
 errors are a quarter larger than in version 0.5.0 (0.263 and 0.633 frames), and the limit of the
 steeper roof is 0.85 instead of 0.65.
 """
