@@ -389,7 +389,7 @@ def hk_labels(
 def _noise_limits(
     curvature: Curvature, h_zero: ArrayLike | None, k_zero: ArrayLike | None
 ) -> tuple[ArrayLike, ArrayLike]:
-    """Return the thresholds, by default those that noise seldom exceeds."""
+    """Return the thresholds of H and K, by default `_SURE` times their uncertainties."""
     known = np.isfinite(curvature.mean)
     without = known.any() and np.isnan(curvature.mean_uncertainty[known]).all()
     if without and (h_zero is None or k_zero is None):

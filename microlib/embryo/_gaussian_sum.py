@@ -117,8 +117,8 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     x, y : array_like, shape (n,)
         Outline, in px, with y up.
     terms : int
-        Number of Gaussians, up to 12; the thesis uses eight. With more terms, neighbors cannot be
-        told apart, and the fit does not end in a minute.
+        Number of Gaussians, up to 12; the thesis uses eight. With more terms, neighbors are nearly
+        equal, and the fit takes more than a minute.
 
     Returns
     -------
