@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,11 +169,15 @@ def fit_gaussians(x: ArrayLike, y: ArrayLike, *, terms: int = 8) -> GaussianSum:
     lower = np.repeat([-np.inf, -1.0, _MIN_WIDTH], n)
     upper = np.repeat([np.inf, 2.0, 2.0], n)
 
+    @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
+    def linearized(parameters: bytes) -> Array:
+        return _linearize(u, v, np.frombuffer(parameters))
+
     def search(start: Array, evaluations: int) -> OptimizeResult:
         return least_squares(
-            lambda parameters: _linearize(u, v, parameters)[:, -1],
+            lambda parameters: linearized(parameters.tobytes())[:, -1],
             start,
-            jac=lambda parameters: _linearize(u, v, parameters)[:, :-1],
+            jac=lambda parameters: linearized(parameters.tobytes())[:, :-1],
             bounds=(lower, upper),
             x_scale="jac",
             max_nfev=evaluations,
