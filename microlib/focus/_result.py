@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from microlib._common import Array, FlatResult, Image, flat_row
 from microlib.focus._registration import Registration
-from microlib.focus.common import DepthMap, Frame, bands, blur
+from microlib.focus.common import END_REACH, DepthMap, Frame, bands, blur
 from microlib.io import Stack
 
 #: Rows that are blended at a time, and the reach of the weights of the all-in-focus image.
@@ -50,8 +50,9 @@ class FocusResult(FlatResult):
         Every pixel from the frame `index`, or where there is no depth from its sharpest one. Where
         this number changes, the frames are blended over a few pixels.
     at_end : ndarray of bool, shape (rows, cols)
-        Whether the sharpest frame is the first or the last, so that the true focus may lie
-        outside the stack. Averaged frames count as one.
+        Whether the true focus may lie outside the stack: the sharpest frame is the first or the
+        last, or the depth is near it and that holds for a quarter of the pixels around. Averaged
+        frames count as one.
     warps : ndarray, shape (n, 2, 3), or None
         If the stack was registered: warp matrix of each frame, as `cv2.findTransformECC` returns
         it, which takes x, y and 1 of a pixel of the result to x and y in the frame, px. NaN for
@@ -176,12 +177,11 @@ def build_result(
         known &= ~registration.outside(index)
         warps, gain, offset = registration.warps, registration.gain, registration.offset
     known &= ~margin
-    # A depth within half a frame spacing of an end of the scan may lie beyond it: it is as
-    # uncertain as a random depth.
+    # A depth this near an end of the scan may lie beyond it: it is as uncertain as a random depth.
     z = np.asarray(stack.positions)
     low, high = np.float32(z.min()), np.float32(z.max())
     end = depth[found.at_end]
-    beyond = np.minimum(end - low, high - end) < found.spacing / 2
+    beyond = np.minimum(end - low, high - end) < END_REACH * found.spacing
     random = np.where(beyond, (high - low) / np.float32(np.sqrt(12)), 0)
     uncertainty[found.at_end] = np.hypot(uncertainty[found.at_end], random)
     depth[~known] = uncertainty[~known] = np.nan

@@ -166,6 +166,17 @@ def test_heights_beyond_the_scan_are_flagged_and_as_uncertain_as_a_random_depth(
 
 
 @pytest.mark.parametrize("measure", NAMES)
+@pytest.mark.parametrize("beyond", [4, 12])
+@pytest.mark.filterwarnings("ignore:frames change")  # so blurred, they seem to
+def test_surface_far_beyond_the_scan_has_no_certain_depth(measure, beyond):
+    """Without a look at the depth and at the pixels around, a quarter has at 12 frames."""
+    frames = render(np.full(SHAPE, POSITIONS[-1] + beyond * STEP), noise=0.5)
+    found = depth_from_focus(frames, POSITIONS, measure=measure)
+    certain = found.uncertainty < np.float32(POSITIONS[-1] / np.sqrt(12))
+    assert inner(certain).mean() < 0.02
+
+
+@pytest.mark.parametrize("measure", NAMES)
 def test_heights_at_the_last_usable_frame_are_as_uncertain_as_a_random_depth(measure):
     frames = render(np.full(SHAPE, 225.0))
     frames[-1] = 120

@@ -4,7 +4,7 @@ Nothing in this folder refers to either of them.
 """
 
 from microlib.focus.common._bands import Band, bands
-from microlib.focus.common._depth_map import DepthMap, Frame
+from microlib.focus.common._depth_map import END_REACH, DepthMap, Frame
 from microlib.focus.common._filters import TINY, blur, doubled, halved, ratio
 from microlib.focus.common._planes import smooth_planes
 from microlib.focus.common._shape import peak_centers, shape_error
@@ -12,6 +12,7 @@ from microlib.focus.common._significance import peak_significance
 from microlib.focus.common._threads import Spread, run_jobs
 
 __all__ = [
+    "END_REACH",
     "TINY",
     "Band",
     "DepthMap",

@@ -8,6 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+#: Distance from an end of the stack, frame spacings, within which lie the depths that the measures
+#: give to a surface outside of it.
+END_REACH = 2.0
+
 
 class Frame(Protocol):
     """A frame in memory, or one of which rows are computed when they are indexed."""
@@ -31,7 +35,7 @@ class DepthMap:
     frame : ndarray of int, shape (rows, cols)
         Number of the frame that shows the pixel sharpest, also where there is no depth.
     at_end : ndarray of bool, shape (rows, cols)
-        Whether the sharpest frame is the first or the last.
+        Whether the true focus may lie outside the stack.
     spacing : float
         Distance of the frames, or of the averaged frames if frames were averaged, µm.
     """

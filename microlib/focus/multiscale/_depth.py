@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from microlib._common import Array
-from microlib.focus.common import Band, DepthMap, Frame, Spread, bands, doubled, smooth_planes
+from microlib.focus.common import (
+    END_REACH,
+    Band,
+    DepthMap,
+    Frame,
+    Spread,
+    bands,
+    doubled,
+    smooth_planes,
+)
 from microlib.focus.multiscale._axis import Axis, describe_axis
 from microlib.focus.multiscale._fits import fit_stack
 from microlib.focus.multiscale._maps import fill_nearest, typical
@@ -75,11 +84,31 @@ def multiscale_depth(
         best, fits = fits.best, fits.without_windows()
         refined = refine(smooth, offsets, peaks, fits, axis, settings, strength, spread=spread)
         del fits, peaks, smooth, offsets  # to save memory
-        return _enlarged(refined, best, axis, shape, spread)
+        ended = ended_mask(refined.depth, best, len(axis.coordinates) - 1, settings)
+        return _enlarged(refined, best, ended, axis, shape, spread)
+
+
+def ended_mask(
+    depth: NDArray, best: NDArray, last: int, settings: FocusSettings
+) -> NDArray[np.bool_]:
+    """Return where the surface may lie outside of the stack.
+
+    Its frame 0 or `last` is the sharpest there, by the measure or by the depth. Noise makes another
+    frame the sharpest in some pixels; near an end the pixels around decide.
+    """
+    ended = (best == 0) | (best == last) | (depth <= 0.5) | (depth >= last - 0.5)
+    around = cv2.blur(ended.astype(np.float32), (settings.local_window,) * 2)
+    near = (depth < END_REACH) | (depth > last - END_REACH)
+    return np.asarray(ended | (near & (around > settings.end_share)))
 
 
 def _enlarged(
-    refined: Refined, best: NDArray, axis: Axis, shape: tuple[int, ...], spread: Spread
+    refined: Refined,
+    best: NDArray,
+    ended: NDArray[np.bool_],
+    axis: Axis,
+    shape: tuple[int, ...],
+    spread: Spread,
 ) -> DepthMap:
     """Return the depth of every pixel in µm, computed in bands of rows."""
     unknown = np.isnan(refined.depth)
@@ -101,7 +130,7 @@ def _enlarged(
         number = full(best, cv2.INTER_NEAREST)
         nearest = np.rint(np.interp(depth[here], axis.positions[order], order))
         frame[here] = np.where(np.isfinite(depth[here]), nearest, middle[number])
-        at_end[here] = (number == 0) | (number == len(axis.coordinates) - 1)
+        at_end[here] = full(ended.view(np.uint8), cv2.INTER_NEAREST) > 0
 
     list(spread(enlarge, bands(shape[0], _BAND, _REACH)))
     return DepthMap(depth, error, frame, at_end, axis.spacing)

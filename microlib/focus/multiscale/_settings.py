@@ -68,6 +68,9 @@ class FocusSettings:
     sure_detail: tuple[float, float] = (0.8, 8.0)
     #: Slope of the wide depth, frames per px, from which its window spans both sides of a step.
     wide_slope: float = 0.5
+    #: Share of the pixels around, sharpest in an end frame, from which a depth near that frame may
+    #: be of a surface outside of the stack.
+    end_share: float = 0.25
     #: Weight of a depth by the wide window, whose error is some seven times the others'.
     wide_weight: float = 0.02
     #: Smoothing by planes.
