@@ -395,7 +395,8 @@ outermost 16 px.
 - *Steps of the surface.* Unlike version 0.5.0, the method does not fit a second time at full size,
   which took up to a fifth of the time. The errors on blocks are twice those of 0.5.0, and those on
   the step and the ball 1.3 times. With photographs as texture, the errors on steps are 9 % smaller
-  and those on balls 3 % smaller (geometric means).
+  and those on balls 3 % smaller (geometric means). Photographs are more like real parts than the
+  drawn texture of the blocks, so the second fit was not restored.
 """
 
 
