@@ -195,6 +195,8 @@ Detection errors are given per coordinate. The contrast of the marks is 140 grey
   in these views.
 - All squares of an image share an error in size, whose variance is a fifth of the variance of a
   corner.
+- The limit that is missed, by 2 %, is that of circles with blur and noise. The RMS of 990 errors
+  has a standard deviation of 2 %.
 """
 
 
