@@ -265,8 +265,8 @@ constants.
 the RMS of the stated uncertainty.
 
 *The limit that is missed*: on the dome with the photograph of a cat, the tenth with the largest
-uncertainty has an error of only 0.03 of it. These are pixels with a faint peak, which noise may have
-made. They get the uncertainty of a random depth, and most of their depths are right.
+uncertainty has an error of only 0.03 of it. These are pixels with a faint peak, which noise may
+have made. They get the uncertainty of a random depth, and most of their depths are right.
 
 *Steep roofs*: without the second fit at full size, which took up to a fifth of the time, the
 errors are a quarter larger than in version 0.5.0 (0.263 and 0.633 frames), and the limit of the
