@@ -248,10 +248,10 @@ code with the method.
 - Photographs have places without texture. There, a single wrong patch determines the largest
   ratio.
 - *Limits that are missed.* With a drift of 2×, half of the frames are darker, and the noise stays
-  as it is: division by the true gains leaves a ratio of 1.26, registration 1.28. The mean of flicker
-  ±15 % is 1.17 because of one scene, a photograph of galaxies before a black sky; the median is
-  1.10. One factor and one offset for a frame cannot describe a changing vignetting together with an
-  offset (1.77, and 1.50 without registration).
+  as it is: division by the true gains leaves a ratio of 1.26, registration 1.28. The mean of
+  flicker ±15 % is 1.17 because of one scene, a photograph of galaxies before a black sky; the
+  median is 1.10. One factor and one offset for a frame cannot describe a changing vignetting
+  together with an offset (1.77, and 1.50 without registration).
 """
 
 

@@ -422,9 +422,9 @@ row has {TRIALS} pairs.
 
 *Limits that are missed.* A trial is 2.5 % of a row, so a limit of 0 or of 98 % is missed by a
 single trial: by one affine warp of 15 px in the worst row, and by one pair each of the rows clean
-and blur. The seven silent pairs of 720 are four with hidden parts, changed contrast or blur, and three in
-which another photograph or another place is taken for the template. Compared with version 0.5.0,
-20 more of 2880 pairs are found, and 7 more are silent.
+and blur. The seven silent pairs of 720 are four with hidden parts, changed contrast or blur, and
+three in which another photograph or another place is taken for the template. Compared with version
+0.5.0, 20 more of 2880 pairs are found, and 7 more are silent.
 
 *Times* are processor times, either of a frame within a sequence or of the first frame after the
 template.
