@@ -368,8 +368,8 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
 
 
 def test_each_photograph_has_its_line_as_soon_as_it_is_searched(tmp_path, monkeypatch):
-    """Also where the output is a file, which is otherwise written in large blocks."""
-    for name in "abc":
+    """In natural order, and also where the output is a file, else written in large blocks."""
+    for name in ("view_2", "view_10", "view_11"):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((90, 120), 100, np.uint8))
     printed = TextIOWrapper(BytesIO(), encoding="utf-8")
     before: list[bytes] = []
@@ -383,8 +383,8 @@ def test_each_photograph_has_its_line_as_soon_as_it_is_searched(tmp_path, monkey
     monkeypatch.setattr("microlib.calibration.detect_pattern", search)
     monkeypatch.setattr("sys.stdout", printed)
     run_alone(f"calibrate '{tmp_path}/*.png' --pitch 200", tmp_path / "out", monkeypatch)
-    first = f"{tmp_path}/a.png: left out\n"
-    second = f"{tmp_path}/b.png: circles: Detection of 9 points\n"
+    first = f"{tmp_path}/view_2.png: left out\n"
+    second = f"{tmp_path}/view_10.png: circles: Detection of 9 points\n"
     shown = [text.decode().partition("(given)\n")[2] for text in before]
     assert shown == ["", first, first + second]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from natsort import natsorted
 from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
@@ -62,7 +63,7 @@ def _files_of(path: Path) -> list[Path]:
         files = [*path.parent.glob(path.name)]
     else:
         files = [Path(name) for name in glob.glob(str(path))]
-    files = sorted(file for file in files if file.name[0] != ".")
+    files = natsorted(sorted(file for file in files if file.name[0] != "."), key=str)
     if not files:
         check_exists(path)
         kinds = f": they must end in {', '.join(sorted(PICTURES))}" if path.is_dir() else ""
