@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from microlib.membrane import disc_modulus, elastic_modulus, indent_disc
-from tests.membrane.energy import stored
+from tests.membrane.energy import stored, stresses
 
 A, H, C, F = 246.95, 3.0, 25.0, 197.24
 DISC: dict[str, Any] = {"thickness": H, "probe_half_width": C, "poisson_ratio": 0.5}
@@ -57,6 +57,8 @@ def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
     given = {"law": "neo-hooke", **DISC, **kw}
     less, more = states = [indent_disc(k * F, A, modulus=1.0, **given) for k in (0.98, 1.02)]
     energies = [stored(s, given["law"], 1.0, H, given["poisson_ratio"]) for s in states]
+    wanted = stresses(given["law"], less.stretches, given["poisson_ratio"])
+    np.testing.assert_allclose(less.stresses, wanted, atol=1e-7)
     # Between the disc and its rim's plane, that below the probe included.
     volumes = [np.pi * C**2 * s.depth - np.trapezoid(2 * np.pi * s.r * s.z, s.r) for s in states]
     p = (less.pressure + more.pressure) / 2
@@ -68,6 +70,7 @@ def test_work_of_force_and_pressure_equals_energy(kw: dict[str, Any]) -> None:
 def test_state_joins_probe_and_rim_with_level_tangent() -> None:
     state = indent_disc(F, A, modulus=1.3, **DISC)
     assert (state.r[0], state.r[-1]) == pytest.approx((C, A))
+    assert (state.rim_radius, state.approach) == pytest.approx((A, state.depth))
     assert (state.z[0], state.z[-1]) == (pytest.approx(-state.depth), 0)
     assert state.pressure == pytest.approx(F / (np.pi * A**2))
     usual = {"law": "neo-hooke", "pressure": F / (np.pi * A**2), "pretension": 0.0, **DISC}

@@ -11,6 +11,7 @@ from scipy.integrate import quad
 
 from microlib.membrane import (
     SmallSlopeWarning,
+    capsule_modulus,
     dimple_depth,
     dimple_profile,
     disc_modulus,
@@ -210,13 +211,18 @@ def test_force_matches_60_digit_arithmetic(zeta: float) -> None:
 @pytest.mark.parametrize(("length", "force"), [(1e-3, 1.0), (1.0, 1e-6)], ids=["mm", "N"])
 def test_lengths_or_force_in_other_units_warn(length: float, force: float) -> None:
     """The dimple of the thesis, of which the modulus is printed, in other units."""
-    right = {"force": 197.24, "rim_radius": 246.95, "dimple_depth": 121.22, "thickness": 3.0}
-    right |= {"probe_half_width": 25.0, "poisson_ratio": 0.5}
+    right = np.array([197.24, 246.95, 121.22, 3.0, 25.0])
+
+    def modulus(model, load, a, depth, h, c):
+        sizes = {"thickness": h, "probe_half_width": c, "poisson_ratio": 0.5}
+        return model(load, a, depth, **sizes)
+
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", SmallSlopeWarning)
-        assert float(elastic_modulus(**right)) == pytest.approx(1.324, abs=1e-3)
-    factors = {"force": force, "poisson_ratio": 1.0}
-    wrong = {name: value * factors.get(name, length) for name, value in right.items()}
-    with pytest.warns(UserWarning, match="outside the range of membranes: lengths must be in µm"):
-        elastic_modulus(**wrong)
+        assert float(modulus(elastic_modulus, *right)) == pytest.approx(1.324, abs=1e-3)
+    wrong = right * [force, *[length] * 4]
+    capsule = partial(capsule_modulus, capsule_radius=600.0 * length)
+    for model in (elastic_modulus, disc_modulus, capsule):
+        with pytest.warns(UserWarning, match="the range of membranes: lengths must be in µm"):
+            modulus(model, *wrong)

@@ -65,8 +65,8 @@ CALLS: dict[Callable[..., Any], dict[str, Any]] = {
 }  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
 
-#: Other units of length and force, and that of a modulus in them.
-UM, UN = 1.7, 0.45
+#: Other units of length and force, in which all are below 1, and that of a modulus in them.
+UM, UN = 0.0015, 0.003
 MPA = UN / UM**2
 LENGTH = ("rim_radius", "dimple_depth", "depth", "radius", "capsule_radius", *WALL)
 #: By what each argument that has a unit is multiplied.
@@ -100,7 +100,7 @@ ARRAYS, NUMBERS = refused(BROKEN, "modulus"), refused(NO_NUMBER, "modulus", "cap
 #: What is refused in place of each argument, beside `ARRAYS` or `NUMBERS`.
 REFUSED = {
     membrane.elastic_modulus: {
-        "rim_radius": [*BROKEN, 0, -1, 10.0],
+        "rim_radius": [*BROKEN, 0, -1, Wrong([16.0, 10.0, 300.0], "got 17 and 10 µm")],
         "probe_half_width": [*BROKEN, 0, -1, A, Wrong([10.0, 300.0, 20.0], "got 300 and 213 µm")],
     },
     membrane.finite_slope_modulus: {"probe_half_width": [*NOT_POSITIVE, 300.0]},
@@ -193,16 +193,16 @@ def test_scalars_give_a_scalar_and_arrays_an_array(function):
 
 def test_moduli_of_models_are_those_of_their_functions():
     """Of the dimple of Table 5.6."""
-    sizes = {"thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
-    deep = model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=600.0)
-    by_hand = capsule_modulus(197.24, 246.95, 121.22, **sizes, capsule_radius=600.0)
-    assert deep["point load"] == elastic_modulus(197.24, 246.95, 121.22, **sizes)
-    assert deep["capsule, neo-hooke"] == pytest.approx(by_hand.modulus)
+    dimple, sizes = (197.24, 246.95, 121.22), {"thickness": 3.0, "probe_half_width": 25.0}
+    found = model_moduli(*dimple, **sizes, poisson_ratio=0.3, capsule_radius=600.0)
+    wanted = {"point load": elastic_modulus(*dimple, **sizes, poisson_ratio=0.3)}
+    for law, ratio in (("neo-hooke", 0.5), ("hooke", 0.3)):
+        wall = {**sizes, "law": law, "poisson_ratio": ratio}
+        wanted[f"disc, {law}"] = disc_modulus(*dimple, **wall)
+        wanted[f"disc, {law}, no pressure"] = disc_modulus(*dimple, **wall, pressure=0)
+        capsule = capsule_modulus(*dimple, **wall, capsule_radius=600.0)
+        wanted[f"capsule, {law}"] = capsule.modulus
+    assert found == pytest.approx(wanted)
     # No capsule of this radius has the dimple, and a probe as wide as the dimple is an error.
-    without = model_moduli(197.24, 246.95, 121.22, **sizes, capsule_radius=250.0)
-    assert set(without) == {name for name in deep if not name.startswith("capsule")}
-    sizes["poisson_ratio"] = 0.3
-    compressible = model_moduli(197.24, 246.95, 121.22, **sizes)
-    by_hand = disc_modulus(197.24, 246.95, 121.22, **sizes, law="hooke")
-    assert compressible["disc, hooke"] == pytest.approx(by_hand)
-    assert compressible["disc, neo-hooke"] == deep["disc, neo-hooke"]
+    without = model_moduli(*dimple, **sizes, poisson_ratio=0.3, capsule_radius=250.0)
+    assert without == {name: E for name, E in found.items() if not name.startswith("capsule")}
