@@ -66,6 +66,7 @@ def test_ibvs_error_decays_exponentially_and_drift_is_compensated():
 def test_loop_with_one_sample_of_delay_is_stable_below_gain_one():
     stable, unstable = (np.abs(servoing.loop_poles(gain, 1.0))[0] for gain in (0.999, 1.001))
     assert stable < 1 < unstable
+    np.testing.assert_allclose(np.abs(servoing.loop_poles(1.8)), [0.8, 0])  # largest first
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.8, 1.0, 1.4, 2.0])
@@ -113,13 +114,13 @@ def test_velocity_is_zero_in_a_lost_frame_and_leads_to_the_next_reference_else()
 def test_jitter_has_the_stated_standard_deviation_and_seed_equals_generator():
     path = np.linspace((3.0, -2.0), (5.0, 4.0), 2000)
 
-    def shaken(rng):
+    def shaken(rng, **options):
         camera = servoing.CameraTiming(interval=0.5, jitter=0.3)
         still = lambda *_: np.zeros(2)  # noqa: E731
-        return loop(still, path, camera=camera, rng=rng)
+        return loop(still, path, camera=camera, rng=rng, **options)
 
-    run = shaken(4)
-    np.testing.assert_array_equal(run.measured, shaken(np.random.default_rng(4)).measured)
+    run, seen = shaken(4), shaken(np.random.default_rng(4), observer=lambda feature: 2 * feature)
+    np.testing.assert_array_equal(2 * run.measured, seen.measured)
     np.testing.assert_array_equal(run.feature, path[[0] * 2000])  # where the path begins
     # 2000 numbers per axis determine a standard deviation to 1.6 %; three times that is allowed.
     np.testing.assert_allclose((run.measured - path[0]).std(axis=0), 0.3, rtol=0.05)
@@ -135,6 +136,8 @@ def test_command_is_clipped_on_each_axis_and_rejected_if_not_finite():
     assert run.position[1, 0] == pytest.approx(2.4)
     with pytest.raises(ValueError, match="command must be finite"):
         loop(lambda *_: np.full(2, np.nan), np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="within ±7500 µm of the start, got 7501 µm"):
+        loop(optimal(), [[9.0, 9.0], [9.0, 9.0 - 7501 * JACOBIAN[1, 1]]])
 
 
 def test_log_and_reference_stay_where_a_controller_works_in_place():

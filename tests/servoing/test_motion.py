@@ -7,7 +7,8 @@ import pytest
 
 from microlib.servoing import CameraTiming, SimulatedWorkstation, StageModel, servo
 
-JACOBIAN = np.array([[0.1, -0.35], [-0.4, -0.05]])
+#: It moves the image by twice as much along one direction as along another.
+JACOBIAN = np.array([[0.1, -0.35], [-0.2, -0.25]])
 DRIFT = np.array([0.3, -0.2])
 COVARIANCE = np.array([[4e-4, 2e-4], [2e-4, 9e-4]])
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from microlib.servoing import StageModel, servo
+from tests.checks import hold_same
 from tests.scenes.microscope import demo_scope, simulated_scope, turned
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
@@ -35,13 +36,18 @@ def test_targets_are_reached_and_every_frame_is_logged(camera):
         scope = demo_scope()
     else:  # by a number it is turned, mirrored and scaled by chance
         scope = scope_of() if isinstance(camera, str) else simulated_scope(camera)
-    run = steer(scope, AWAY, test_move=10.0, progress=dict.clear)  # its rows are copies
+    rows = []
+    progress = lambda row: (rows.append(dict(row)), row.clear())  # its rows are copies  # noqa: E731
+    run = steer(scope, AWAY, test_move=10.0, progress=progress)
     assert run.reached.all()
     assert run.still
     assert run.reason == ""
     moved = scope.jacobian @ scope.workstation.stage.position()
     np.testing.assert_allclose(moved, AWAY, atol=0.12)
     log = run.log
+    hold_same(log[:-1].to_dict("records"), rows)
+    stopped = log[["stage_x_um", "stage_y_um"]].iloc[-1]
+    np.testing.assert_allclose(stopped, scope.workstation.stage.position())
     assert (log["phase"] == "servo").sum() <= 4  # three moves
     others = log.drop(columns=["phase", "event"]).dtypes.astype(str).to_dict()
     assert (others.pop("target"), others.pop("lost")) == ("int64", "bool")
@@ -88,18 +94,23 @@ def test_moves_stay_within_step_and_travel():
     assert farthest == pytest.approx(0.99 * 170.0, abs=1.0)
 
 
-def test_default_test_move_is_a_tenth_of_the_shorter_travel():
+@pytest.mark.parametrize(("longest", "move"), [(None, 5.0), (3.0, 3.0)])
+def test_default_test_move_is_a_tenth_of_the_shorter_travel_or_the_longest_move(longest, move):
     scope = scope_of(stage=StageModel(saturation=2.0))  # its moves take up to 6 s
-    run = steer(scope, [3.0, 0.0], travel=[600.0, 50.0], test_move=None)
+    given = {"travel": [600.0, 50.0], "test_move": None, "longest_move": longest}
+    run = steer(scope, [3.0, 0.0], **given)
     assert run.reason == ""
     tried = run.log.loc[run.log["phase"] == "calibration", ["stage_x_um", "stage_y_um"]]
-    np.testing.assert_allclose(tried.abs().max(), 5.0, atol=0.05)
+    np.testing.assert_allclose(tried.abs().max(), move, atol=0.05)
 
 
 def test_a_target_beyond_the_travel_ends_the_run_before_any_move():
     scope = scope_of()
     run = steer(scope, [[10.0, 0.0], JACOBIAN @ (150.0, 250.0)], travel=[600.0, 200.0])
-    assert "target 1 is beyond the travel" in run.reason
+    assert run.reason.startswith("target 1 is beyond the travel of ±")
+    numbers = [float(number) for number in re.findall(r"\d+\.\d*", run.reason)]
+    # To the 0.1 px of a track in the first frame.
+    assert numbers == pytest.approx([594.0, 198.0, 150.0, 250.0], abs=1.0)
     assert not run.reached.any()
     assert run.still
     np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
