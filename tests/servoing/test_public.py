@@ -134,7 +134,7 @@ CALLS = {
 }  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__qualname__)
 #: Other units, in which most numbers are below 1, and those of the results in them.
-UM, PX, S = 0.0017, 0.006, 0.023
+UM, PX, S = 0.0007, 0.006, 0.9
 METRICS = {"accuracy": PX, "precision": PX}
 FACTORS = {
     CameraTiming: {"interval": S, "latency": S, "jitter": PX},
