@@ -88,10 +88,10 @@ def test_planar_region_states_the_smallest_curvature_that_would_be_seen():
         row = region_table(curvature.hk_labels(found), found).sort_values("area").iloc[-1]
         assert row["label"] == label
         assert (row["mean_limit"] > 1 / 300) == (label == 5)
-        known = np.isfinite(found.mean)
-        h_zero = np.where(
-            known, row["mean_limit"], np.nan
-        )  # the same for all pixels on flat ground
+        if label == 1:
+            assert (row["mean"], row["gaussian"]) == pytest.approx((-1 / 300, 1 / 300**2), rel=0.01)
+        # On flat ground, the limit is the same for all pixels.
+        h_zero = np.where(np.isfinite(found.mean), row["mean_limit"], np.nan)
         labels = curvature.hk_labels(found, h_zero=h_zero)
         assert (labels == curvature.hk_labels(found)).mean() > 0.99
 

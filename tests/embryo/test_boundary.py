@@ -299,8 +299,14 @@ CORNER = np.indices((320, 480)).sum(axis=0) < 60
 SPOILED = {
     "no embryo": (lambda: barred(np.full((320, 480), 190, np.uint8), 130, 234), ONE_SIDE),
     "probe beside": (lambda: barred(bare(), 200, 30), ONE_SIDE),
-    "half of it": (lambda: render().image[:, 222:], ONE_SIDE),
-    "probe above": (lambda: barred(bare(), 60, 234), FLAT),
+    "half of it": (
+        lambda: render().image[:, 222:],
+        ONE_SIDE + r", got 0 columns of it on the left and 1\d\d on the right",
+    ),
+    "probe above": (
+        lambda: barred(bare(), 60, 234),
+        FLAT + r".* falls, got -\d+\.\d px and a fall of \d\d\.0 px on the left",
+    ),
     "untouched": (lambda: render(embryo=Embryo(1.0, 0.0, 1.0)).image, FLAT),
     "probe inside": (
         lambda: barred(bare(Embryo.dented(30.0, modulus=1.0)), 170, 234),

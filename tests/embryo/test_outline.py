@@ -59,8 +59,9 @@ def test_dimple_of_synthetic_outline_matches_truth() -> None:
         # varies more.
         assert radius_std < 2 * PIXEL
         assert depth_std < PIXEL / 2
-        rise = dimple.rim[1] - dimple.bottom[1]
-        assert rise * PIXEL == pytest.approx(dimple.dimple_depth)
+        way = PIXEL * np.subtract(dimple.rim, dimple.bottom)
+        assert abs(way) == pytest.approx([dimple.rim_radius, dimple.dimple_depth])
+    assert found.left.rim[0] < found.left.bottom[0] < found.right.rim[0]
 
 
 def test_dimple_does_not_depend_on_order_origin_and_unit() -> None:
@@ -242,6 +243,7 @@ TABLES = {
     "empty lines": POINTS.to_csv(index=False).replace("\n", "\n\n"),
     "units": POINTS.rename(columns={"x": "x (px)", "y": "y (px)"}).to_csv(index=False),
     "µm": POINTS.rename(columns={"x": "x_um", "y": "Y [µm]"}).to_csv(index=False),
+    "mm": POINTS.rename(columns={"x": "x mm", "y": "y mm"}).to_csv(index=False),
     "rows": POINTS.rename(columns={"x": "col", "y": "row"}).to_csv(index=False),
     "rows and columns": POINTS.iloc[:, ::-1].set_axis(["Row", "Column"], axis=1).to_csv(),
     "other columns": POINTS.assign(id=7, z=1.5)[["id", "y", "z", "x"]].to_csv(index=False),
@@ -255,7 +257,7 @@ def test_read_outline_accepts_common_forms(name: str, tmp_path: Path) -> None:
         file.write_text(TABLES[name], encoding=encoding)
         found = read_outline(file)
         np.testing.assert_array_equal([found.x, found.y], [X, Y])
-        assert found.pixel_size == (1.0 if name == "µm" else None)
+        assert found.pixel_size == {"µm": 1.0, "mm": 1000.0}.get(name)
         assert found.y_down == name.startswith("rows")
 
 

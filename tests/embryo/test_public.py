@@ -111,7 +111,10 @@ REFUSED = {
     fit_dimple: {
         "pixel_size": PIXEL,
         "boundary": [None, np.zeros((9, 2))],
-        "probe_half_width": [*NOT_POSITIVE, *(Wrong(c, "must be that of") for c in (8.0, 45.0))],
+        "probe_half_width": [
+            *(*NOT_POSITIVE, Wrong(8.0, r"image, got 8 µm where 2\d\.\d µm are seen")),
+            Wrong(45.0, "must be that of"),
+        ],
     },
     modulus_from_image: {
         "force": [*NEGATIVE, 150e-6],  # in N
