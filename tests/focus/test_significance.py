@@ -1,5 +1,6 @@
 """Ground without texture, whatever its noise; asymmetric peaks; thin things; margins; changes."""
 
+import re
 import warnings
 
 import cv2
@@ -282,8 +283,11 @@ def test_image_that_grows_or_turns_gives_a_warning_as_one_that_shifts(growth, tu
         moved.append(cv2.warpAffine(frame, matrix, (side, side), **how))
     stack = np.clip(np.rint(moved), 0, 255).astype(np.uint8)
     stack = np.repeat(stack[..., None], 3, axis=3) if color else stack
-    with pytest.warns(UserWarning, match=r"change in position or scale .*register=True"):
+    with pytest.warns(UserWarning, match=r"change in position or scale .*register=True") as caught:
         depth_from_focus(stack, z, reduce=2)
+    numbers = re.findall(r"-?[\d.]+", str(caught[0].message))[:3]  # px, % and degrees
+    wanted = [0.0, 100 * (growth - 1), -turn]
+    assert [float(number) for number in numbers] == pytest.approx(wanted, abs=0.1)
 
 
 @pytest.mark.parametrize(("count", "gain", "flicker"), [(15, 1, 0), (15, 1.15, 0), (60, 1, 0.01)])
