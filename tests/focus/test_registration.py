@@ -198,6 +198,7 @@ def test_frames_that_are_found_to_move_are_registered_by_auto(how: dict[str, flo
     with pytest.warns(UserWarning, match=r"change in position or scale .* next: registered"):
         result = depth_from_focus(stack, POSITIONS, register="auto")
     assert result.to_dict()["registered"]
+    assert repr(result).endswith(" µm, registered)")
     assert_same(result, registered("dome", 1, **how))
 
 

@@ -25,7 +25,7 @@ from tests.checks import (
 
 BOX = (38, 26, 52, 41)
 #: Its standard deviation of 28 grey levels makes the tracker's scale change with the unit.
-SCENE = mixed_texture((110, 140), np.random.default_rng(4), scales=(2.0, 5.0), mean=0.0, std=28.0)
+SCENE = mixed_texture((110, 140), np.random.default_rng(4), scales=(2.0, 5.0), mean=90.0, std=28.0)
 BY, GAIN = np.array([2.6, -1.8]), 0.8
 MOVED = GAIN * ndimage.shift(SCENE, BY[::-1], order=5, mode="mirror") + 30
 NOISE = np.random.default_rng(5).normal(0, 0.3, (2, 110, 140))
