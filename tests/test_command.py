@@ -24,6 +24,7 @@ import tifffile
 from matplotlib.figure import Figure
 from PIL import Image
 
+import microlib
 from microlib import calibration, io, membrane, tracking
 from microlib.__main__ import main
 from microlib.embryo import dimple_from_outline
@@ -131,6 +132,7 @@ def test_mesh_or_picture_that_fails_gives_a_note(tmp_path, capsys, monkeypatch):
 REGION = {"region": (9, 5, 60, 44)}
 
 
+@pytest.mark.filterwarnings("ignore:frames change in position")  # of the library
 @pytest.mark.parametrize(
     ("line", "options", "size"),
     [
@@ -140,16 +142,20 @@ REGION = {"region": (9, 5, 60, 44)}
         ("--pixel-size 2500nm/px --register --reduce 2", {"register": True, "reduce": 2}, 5.0),
         ("--region 9 5 60 44 --workers 2", REGION, 1.5),
         ("--register auto", {}, 1.5),
+        ("--register auto --pixel-size 2.5", {"register": "auto"}, 2.5),
     ],
 )  # fmt: skip
 def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, capsys, figures):
-    """The options replace the spacing and the pixel size in the file."""
+    """The options replace the spacing and the pixel size in the file. What is registered moves."""
     levels = mixed_texture((70, 90), np.random.default_rng(0)).astype(np.float32)
     frames = [cv2.GaussianBlur(levels, (0, 0), 0.5 + abs(k - 2.6)) for k in range(7)]
+    if "register" in options:
+        frames = [np.roll(frame, 2 * k, axis=1) for k, frame in enumerate(frames)]
     sizes = {"PhysicalSizeX": 1.5, "PhysicalSizeY": 1.5, "PhysicalSizeZ": 4.0}
     tifffile.imwrite(tmp_path / "z.ome.tif", np.stack(frames), metadata={"axes": "ZYX", **sizes})
     assert status(f"depth {tmp_path / 'z.ome.tif'} {line}", tmp_path / "out", "") == 0
-    printed = capsys.readouterr().out
+    printed, notes = capsys.readouterr()
+    assert ("frames change in position" in notes) == (options.get("register") == "auto")
     for name, scale in (("spacing", "4 µm"), ("pixel_size", "1.5 µm/px")):
         given = f"--{name.replace('_', '-')}" in line
         assert f"{name} {scale} (the file)" in printed or given
@@ -157,7 +163,7 @@ def test_depth_writes_what_the_library_returns(line, options, size, tmp_path, ca
     at_rest = (
         "not registered; motion of less than 0.1 % of the shorter side per frame is not detected"
     )
-    assert (at_rest in printed) == ("auto" in line)
+    assert (at_rest in printed) == (options == {})
     if "spacing" not in options:
         options = {"positions": 4.0 * np.arange(7), **options}
     found = depth_from_focus(np.stack(frames), **options)
@@ -231,27 +237,6 @@ def test_mesh_of_a_large_map_has_the_size_of_the_map(tmp_path):
     assert np.ptp(y) == pytest.approx(2 * 418, abs=4)
 
 
-@pytest.mark.parametrize("given", ["", "--pixel-pitch 9.9"])
-def test_camera_matrix_and_scale_need_no_pixel_pitch(given, tmp_path, capsys):
-    """The true focal length is 126150 µm, and T_op = 1.5893 f, behind a pixel pitch of 9.9 µm."""
-    assert status(f"calibrate circles.png --pitch 280 {given}", tmp_path / "out") == 0
-    assert ("magnification" in capsys.readouterr().out) == bool(given)
-    camera = json.loads((tmp_path / "out" / "camera.json").read_text())
-    table = pd.read_csv(tmp_path / "out" / "camera.csv", index_col="parameter")
-    scale = (200490 + 126150) / (126150 + 79374.6) / 9.9  # px/µm
-    assert camera["micro_manager"]["PixelSizeUm"] == pytest.approx(1 / scale, rel=1e-3)
-    true = {"focal_length": 126150.0, "magnification": scale * 9.9}
-    if not given:
-        true = {"principal_distance": (200490 + 126150) / 9.9, "px_per_um": scale}
-        assert not {"magnification", "focal_length"} & set(table.index)
-    for name, value in true.items():
-        low, high = table.loc[name, ["low", "high"]]
-        assert low < value < high, name
-    # One plane without a tilt hardly determines it.
-    distance = camera["opencv"]["camera_matrix"][0][0]
-    assert distance == pytest.approx((200490 + 126150) / 9.9, rel=0.1)
-
-
 def test_difference_of_opencv_camera_above_the_noise_is_printed(tmp_path, capsys, monkeypatch):
     """A distortion that is wrong by 3 px, and the right one."""
     exported = calibration.Calibration.to_json
@@ -282,7 +267,7 @@ def chessboards() -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("line", "given"),
     [
-        ("--pitch 100 --pixel-pitch 5", {}),
+        ("--pitch 100", {"pixel_pitch": None}),
         ("--pitch 0.1mm --pitch-y 99 --pixel-pitch 5000nm --focal-length 0.16cm --marks chessboard",
             {"pitch": (100.0, 99.0), "focal_length": 1600.0}),
     ],
@@ -354,7 +339,10 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
     for name, value in zip(names, table.value, strict=True):
         shown = re.search(rf"^{name}: (\S+) µm/px", printed.out, flags=re.M)[1]
         assert float(shown) == pytest.approx(value, rel=1e-4)
-    assert [len(ax.lines[0].get_xdata()) for ax in figures[0].axes] == [*table.lines]
+    for ax, (name, count) in zip(figures[0].axes, table.lines.items(), strict=True):
+        x, y = np.rint(ax.lines[0].get_data()).astype(int)
+        assert ax.get_title() == f"{name}: {len(x)} lines" == f"{name}: {count} lines"
+        assert ax.images[0].get_array()[y, x].max() < 128  # the lines are dark
     macro = (tmp_path / "out" / "imagej.ijm").read_text()
     assert f"names = newArray({', '.join(map(json.dumps, names))});" in macro
     sizes = re.search(r"sizes = newArray\((.*)\)", macro)[1].replace('"', "").split(", ")
@@ -438,18 +426,24 @@ def test_each_weakness_of_a_calibration_has_its_note(
     [
         ("--motion affine --rate 20 --video", {"motion": "affine", "rate": 20.0}),
         ("--pixel-size 2.5 --video", {"motion": "translation", "pixel_size": 2.5}),
-        ("--mask MASK", {"motion": "translation", "mask": DISC}),
+        ("--mask MASK", {"motion": "translation", "mask": DISC, "pixel_size": 2.5}),
         ("--motion homography --rate 12.5 --pixel-size 2.5um",
             {"motion": "homography", "rate": 12.5, "pixel_size": 2.5}),
     ],
 )  # fmt: skip
 def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, figures):
-    """A part that is lost in one frame, in 16 bits; the same run again gives the same table."""
+    """A part that is lost in one frame, in 16 bits; the same run again gives the same table.
+
+    The film of the first is in color, and that of the third has a pixel size.
+    """
     way = [(60 + 2.5 * k, 60 - k) for k in range(6)]
     frames = np.stack(moving_square(way, np.random.default_rng(1))).astype(np.uint16) * 200
     frames[4] //= 2
     frames[3] = np.random.default_rng(2).integers(0, 50000, frames[3].shape)
-    tifffile.imwrite(tmp_path / "film.tif", frames)
+    kind, tint = ("rgb", [1, 0.9, 0.8]) if "affine" in line else ("minisblack", 1)
+    frames = (frames[..., None] * tint).astype(np.uint16).squeeze()
+    size = {"resolution": (4000, 4000), "resolutionunit": "CENTIMETER"} if "mask" in options else {}
+    tifffile.imwrite(tmp_path / "film.tif", frames, photometric=kind, **size)
     out = tmp_path / "track.csv"
     cv2.imwrite(str(tmp_path / "mask.png"), np.uint8(200 * DISC))
     line = line.replace("MASK", str(tmp_path / "mask.png"))
@@ -482,8 +476,8 @@ def test_track_writes_what_the_library_returns(line, options, tmp_path, capsys, 
         at = np.array(way[k if k != 3 else 2]) - way[0] + 84
         np.testing.assert_allclose((marked.min(axis=0) + marked.max(axis=0)) / 2, at, atol=3)
         assert (np.median(shown[marked[:, 1], marked[:, 0], 1]) < 100) == (k == 3)
-        level = 255 * frame[:30].mean() / frames[0].max()
-        assert shown[:30].mean() == pytest.approx(level, abs=6)
+        level = 255 * frame[:30].mean(axis=(0, 1)) / frames[0].max()
+        assert shown[:30].mean(axis=(0, 1))[::-1] == pytest.approx(level, abs=6)
     assert not looked.read()[0]
 
 
@@ -588,14 +582,16 @@ def test_each_fact_about_a_steep_dimple_of_a_thick_membrane_is_noted_once(tmp_pa
 
 def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     """Of either rim."""
-    assert status(f"{OUTLINE} --thickness-uncertainty 0.2um", tmp_path / "out.csv", "") == 0
+    line = f"{OUTLINE} --thickness-uncertainty 0.2um --poisson-ratio 0.4"
+    assert status(line, tmp_path / "out.csv", "") == 0
     printed = capsys.readouterr().out
     for given in ("force_uncertainty 3 µN", "thickness_uncertainty 0.2 µm"):
         assert f"{given} (given)" in printed
     table = pd.read_csv(tmp_path / "out.csv", index_col="quantity").fillna({"unit": ""})
     found, unit = table["value"], table["unit"]
-    rights = unit.filter(like="right_")
-    assert [*rights] == [*unit[rights.index.str.removeprefix("right_")]]
+    units = {"_MPa": "MPa", "force": "µN", "ratio": "", "ness|_width|radius|depth": "µm"}
+    for kind, wanted in units.items():
+        assert {*unit.filter(regex=kind)} == {wanted}
     x, y = pd.read_csv(INPUTS / "outline.csv").sort_values("x").to_numpy().T
     measured = dimple_from_outline(x, y, pixel_size=3.875)
     title = figures[0].axes[0].get_title()
@@ -603,7 +599,7 @@ def test_modulus_writes_what_the_library_returns(tmp_path, capsys, figures):
     every = []
     for rim, prefix in (("left", ""), ("right", "right_")):
         dimple = getattr(measured, rim)
-        values = {"force": 10.0, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.5}
+        values = {"force": 10.0, "thickness": 3.0, "probe_half_width": 25.0, "poisson_ratio": 0.4}
         stds = {"force": 3.0, "thickness": 0.2}
         for k, name in enumerate(("rim_radius", "dimple_depth")):
             values[name] = getattr(dimple, name)
@@ -904,6 +900,9 @@ def test_negative_number_with_a_unit_is_no_option(spacing, tmp_path):
 
 
 def test_help_lists_the_tasks_and_shows_an_example(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out == f"{microlib.__version__}\n"
     assert main([]) == 0
     overview = capsys.readouterr().out
     for task in ("depth", "calibrate", "track", "modulus"):
@@ -1120,7 +1119,7 @@ def test_error_of_any_kind_has_one_line(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("frames", "note"),
     [
-        (np.arange(7), "of the heights are at the first or last frame"),
+        (np.arange(7), "{at_end:.0%} of the heights are at the first or last frame"),
         (np.random.default_rng(1).permutation(21), "are the frames in order of focus?"),
         (np.arange(21), ""),
     ],
@@ -1134,7 +1133,7 @@ def test_stack_that_does_not_show_the_heights_is_noted(frames, note, tmp_path, c
     line = f"depth {tmp_path}/stack.tif --spacing 10 --pixel-size 3.9"
     assert status(line, tmp_path / "out") == 0
     printed = capsys.readouterr().err
-    assert note in printed
+    assert note.format(**json.loads((tmp_path / "out" / "summary.json").read_text())) in printed
     assert bool(printed) == bool(note)
 
 
@@ -1159,7 +1158,7 @@ SCALE = "calibrate PICTURE --marks micrometer --division"
         (f"{SCALE} 10", ruled(EVEN, 60.0, 3.0), ""),
         (GRID, None, ""),
         (f"{SCALE} 10", ruled(UNEVEN, 60.0, 3.0), "picture: the lines are uneven"),
-        ("calibrate PICTURE --pitch 280", grid_of(1.08), "give --pitch and --pitch-y"),
+        ("calibrate PICTURE --pitch 280", grid_of(1.08), "1.080 times as far .* no tilt of 22°"),
         # The file has 25 µm and 3.9 µm/px.
         ("depth PICTURE --spacing -25", "stack", "25 µm: --spacing -25 is used"),
         ("depth PICTURE --pixel-size 0.39", "stack", "3.9 µm/px: --pixel-size 0.39 is used"),
@@ -1181,7 +1180,7 @@ def test_unlikely_scales_and_pictures_are_noted(line, picture, note, tmp_path, c
     out = tmp_path / ("out" if line.startswith(("depth", "calibrate")) else "out.csv")
     assert status(line.replace("PICTURE", str(file)), out) == 0
     printed = [each for each in capsys.readouterr().err.splitlines() if "w_d/a" not in each]
-    assert note in "".join(printed)
+    assert re.search(note, "".join(printed))
     assert bool(printed) == bool(note)
 
 

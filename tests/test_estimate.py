@@ -21,8 +21,3 @@ def test_estimate_shows_two_digits_of_its_uncertainty(numbers, text):
     found = Estimate(*numbers, "MPa")
     assert str(found) == text
     assert found.interval == (numbers[2], numbers[3]) or np.isnan(numbers[0])
-
-
-def test_estimate_has_one_column_for_each_number():
-    row = Estimate(2.0, 0.1, 1.8, 2.2, "µm").to_dict()
-    assert row == {"value": 2.0, "uncertainty": 0.1, "low": 1.8, "high": 2.2, "unit": "µm"}

@@ -116,6 +116,7 @@ def test_each_view_shows_its_marks_and_residuals(views, photographs):
     found, result, images = views
     axes = result.plot(found=found, images=images if photographs else None).axes
     assert not axes[3].axison
+    assert axes[0].figure.get_size_inches()[0] == 8
     apart = np.sqrt(np.prod(np.ptp(found[0].points, axis=0)) / 12)
     factor = largest_round(apart / np.quantile(np.hypot(*result.residuals.T), 0.95))
     parts = np.split(result.residuals, [12, 32])

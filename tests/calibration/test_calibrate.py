@@ -195,6 +195,7 @@ def test_interval_of_focal_length_is_that_of_its_reciprocal():
     found = calibrate(world, noisy(scope.project(world), 0), **SENSOR)
     quantile = student.ppf(0.975, 2 * len(world) - 8)
     assert found.dof == 2 * len(world) - 8
+    assert ", tilt 14.1°" in repr(found)  # its cosine is that of 10°, squared
     f, sigma = found.microscope.focal_length, found.parameters["focal_length"].uncertainty
     low, high = found.parameters["focal_length"].interval
     assert 1 / low == pytest.approx(1 / f + quantile * sigma / f**2, rel=1e-12)
@@ -421,7 +422,10 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
         shares = [c.um_per_pixel.uncertainty / c.um_per_pixel.value for c in found]
         scale[name] = np.median(shares)
     assert adequate["lacking"] <= 0.1
-    assert f"is {found[0].widening:.2g} times as wide" in repr(found[0])
+    text = repr(found[0])
+    assert f"{found[0].reprojection.rms:.3g} px rms residual" in text
+    assert f"in the pattern's plane {found[0].plane_error.rms:.2g} µm rms; the" in text
+    assert f"is {found[0].widening:.2g} times as wide" in text
     assert widening["exact"] == 1
     noise_alone = scale["lacking"] / widening["lacking"]
     # The noise is estimated from residuals that contain the discrepancy.
@@ -629,6 +633,12 @@ def test_residuals_are_image_points_minus_projection_by_the_views(count, pixel_p
     world, image = lens_views(count, aside=(14, -9), k2=0.15)
     found = calibrate(world, image, pixel_pitch=pixel_pitch, image_size=(640, 480))
     assert ("distortion_k2" in found.parameters) is (count > 1)
+    sensor, unit = "µm" if pixel_pitch else "px", found.to_frame()["unit"]
+    units = {"^(focal|tx|ty)": "µm", "^(alpha|beta|gamma)": "rad", "^magni": "", "^px_": "px/µm"}
+    units |= {"^principal": "px", "distortion$": f"1/{sensor}²", "distortion_k2": f"1/{sensor}⁴"}
+    for kind, wanted in units.items():
+        assert {*unit.filter(regex=kind)} <= {wanted}
+    assert found.um_per_pixel.unit == "µm/px"
     hold_residuals(found, world, image)
 
 

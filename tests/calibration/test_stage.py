@@ -50,6 +50,9 @@ def test_intervals_of_a_stage_scale_contain_the_truth_as_often_as_stated():
         inside.append(low <= size <= high)
         error = (found.matrix - true).ravel()
         scores.append(error @ np.linalg.solve(found.covariance, error) / 6)
+    left = seen - moves @ found.matrix[:, :2].T - found.matrix[:, 2]
+    np.testing.assert_allclose(found.residuals, left, atol=1e-8)  # rounding of 1e4 µm
+    assert found.um_per_pixel.unit == "µm/px"
     hold_coverage(inside, 0.95)
     # F with 6 and 8 degrees of freedom: mean 8/6, standard deviation 1.3.
     assert np.mean(scores) == pytest.approx(8 / 6, abs=0.2)

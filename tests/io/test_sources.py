@@ -54,12 +54,13 @@ def test_video_with_fewer_frames_than_its_header_is_rejected(stack, tmp_path, mo
     monkeypatch.setattr(cv2, "VideoCapture", film)
     (tmp_path / "a.MP4").write_bytes(b"film")
     reader = read_frames(tmp_path / "a.MP4", color=True)
-    assert (reader.count, reader.shape, reader.time(0)) == (4, (4, 6), 0)  # the header's is 4 ms
+    assert (reader.count, reader.shape) == (4, (4, 6))
     for _ in range(2):
         seen = []
         with pytest.raises(ValueError, match=r"a\.MP4: its header has 4 frames, 3 can be read"):
             seen.extend(reader)
         np.testing.assert_array_equal(seen, np.full((3, 4, 6, 3), (3, 2, 1)))
+    assert [reader.time(k) for k in range(3)] == [0, None, None]  # of each the header has 4 ms
 
 
 @pytest.mark.parametrize(
