@@ -105,6 +105,7 @@ def test_existing_output_is_kept_without_overwrite(line, out, file, tmp_path, ca
     assert path.read_text() == "mine"
     assert status(line, tmp_path / out, "--overwrite") == 0
     assert path.read_bytes() != b"mine"
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{path.parent}: ")
     (look,) = path.parent.glob("*look.png")
     with Image.open(look) as picture:  # not a small one, nor of one color
         assert min(picture.size) > 300
@@ -339,10 +340,12 @@ def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
     for name, value in zip(names, table.value, strict=True):
         shown = re.search(rf"^{name}: (\S+) µm/px", printed.out, flags=re.M)[1]
         assert float(shown) == pytest.approx(value, rel=1e-4)
-    for ax, (name, count) in zip(figures[0].axes, table.lines.items(), strict=True):
+    for ax, file, (name, count) in zip(figures[0].axes, gaps, table.lines.items(), strict=True):
         x, y = np.rint(ax.lines[0].get_data()).astype(int)
         assert ax.get_title() == f"{name}: {len(x)} lines" == f"{name}: {count} lines"
-        assert ax.images[0].get_array()[y, x].max() < 128  # the lines are dark
+        shown, grey = ax.images[0].get_array().data, cv2.imread(f"{tmp_path}/{file}.png", 0)
+        assert np.corrcoef(shown.ravel(), grey.ravel())[0, 1] > 0.999
+        assert shown[y, x].max() < 128  # the lines are dark
     macro = (tmp_path / "out" / "imagej.ijm").read_text()
     assert f"names = newArray({', '.join(map(json.dumps, names))});" in macro
     sizes = re.search(r"sizes = newArray\((.*)\)", macro)[1].replace('"', "").split(", ")
@@ -571,6 +574,15 @@ def test_lost_part_gives_exit_status_4_and_a_remedy_that_was_not_tried(
     assert (out + err).count("lost in 7") == 1
 
 
+def test_part_that_leaves_the_image_has_a_remedy_of_its_own(tmp_path, capsys):
+    texture = mixed_texture((100, 280), np.random.default_rng(0), scales=2.0)
+    frames = [texture[:, 8 * k :][:, :120] for k in range(20)]  # the box leaves after nine
+    tifffile.imwrite(tmp_path / "leaving.tif", np.clip(frames, 0, 255).astype(np.uint8))
+    assert status(f"track {tmp_path / 'leaving.tif'} {BOX}", tmp_path / "track.csv") == 4
+    remedy = "mostly by out of view: try a --box around a part that stays in the image\n"
+    assert remedy in capsys.readouterr().err
+
+
 def test_each_fact_about_a_steep_dimple_of_a_thick_membrane_is_noted_once(tmp_path, capsys):
     """Radius and depth of the two rims differ, and each is computed by several models."""
     line = f"{OUTLINE} --thickness 30 --quiet"
@@ -689,6 +701,10 @@ def test_headline_of_moduli_spans_both_rims_whichever_is_further(side, tmp_path,
         # A scale that is missing, has another unit, or is out of range.
         ("depth focal_stack.tif --max-uncertainty 5", "--max-uncertainty is in µm: give --spacing"),
         (f"{STACK} --spacing 0.025 mm", "no blank between them, as in 0.5mm"),
+        (
+            "deep focal_stack.tif",
+            "must be a task: depth, calibrate, track, modulus; options follow",
+        ),
         (f"{STACK} --spaceing 25", "unknown --spaceing: did you mean --spacing?"),
         ("track frames.tif --box 30,40,40,40", "with blanks between them, as in 30 40 64 64"),
         (f"track circles.png {BOX}", "circles.png must hold two frames or more, got 1"),
