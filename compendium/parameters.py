@@ -49,7 +49,7 @@ def describe(notebook: str) -> pd.DataFrame:
             if not isinstance(default, str):
                 accepted = _wanted(default, bound[1] if bound else "")
             meaning = _BOUND.sub("", entry["help"]).strip(" ,")
-            rows[name] = (entry["default"], accepted, meaning.replace(", ,", ","))
+            rows[name] = (entry["default"], accepted, re.sub(", (?=[,;])", "", meaning))
     columns = ["default", "accepted values", "meaning"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("parameter")
 

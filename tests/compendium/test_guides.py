@@ -20,7 +20,10 @@ ALLOWED = {"modulus_MPa": 0.05, "rim_radius_um": 1.0, "dimple_depth_um": 1.0}
 
 @pytest.mark.parametrize("wrong", [0.0, -1.3, 1.36, np.nan, np.inf])
 def test_compare_accepts_truth_and_names_wrong_result(wrong):
-    assert (compare(MINE, TRUTH, ALLOWED)["error"] == 0).all()
+    table = compare(MINE, TRUTH, ALLOWED)
+    assert table["found"].to_dict() == table["true value"].to_dict() == pytest.approx(TRUTH)
+    assert (table["error"] == 0).all()
+    assert table["allowed"].to_dict() == ALLOWED
     with pytest.raises(AssertionError, match=r"embryo\.png: modulus_MPa is .* off the truth"):
         compare(MINE, TRUTH | {"modulus_MPa": wrong}, ALLOWED)
 
@@ -67,14 +70,21 @@ def test_scales_are_those_given_or_of_the_file_or_not_known(tmp_path, capsys):
     assert mine.scales == {"spacing": None, "pixel_size": 2.0}
     assert mine.table["value"].to_dict() == {"spacing": 7.0, "pixel_size": 2.0}
     assert mine.table["unit"].tolist() == ["µm", "µm/px"]
+    assert mine.table["from"].tolist() == ["the file", "the file"]
     mine = open_input(*names, spacing=-5.0, pixel_size=3.0)
     assert mine.scales == {"spacing": -5.0, "pixel_size": 3.0}
+    assert mine.table["from"].tolist() == ["given", "given"]
     assert "focused lower" in capsys.readouterr().out
     tifffile.imwrite(path, frames, photometric="minisblack")
     assert open_input(*names, spacing=None, pixel_size=None).scales["spacing"] == "frame"
     assert "heights are in frames" in (printed := capsys.readouterr().out)
     assert "lengths are in px" in printed
     assert "µm" not in printed
+    timed = {"axes": "TYX", "TimeIncrement": 0.04, "TimeIncrementUnit": "s"}
+    tifffile.imwrite(path, frames, photometric="minisblack", metadata=timed, ome=True)
+    film = open_input("frames.tif", str(path), read_frames, rate=None)
+    assert film.table.loc["rate"].tolist() == pytest.approx([25.0, "frames/s", "the file"])
+    assert film.scales == {"rate": None}  # each frame has its own time
     with pytest.raises(ValueError, match=r"spacing must be between .* did you mean .*0\.0025mm"):
         open_input("focal_stack.tif", "", read_frames, spacing=0.0025)
 

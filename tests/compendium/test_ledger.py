@@ -176,9 +176,16 @@ def test_records_are_written_and_read(tmp_path):
         records = ledger.read_records(tmp_path / "claims")
         assert records["table-5.6/E"].value == 1.32371
         assert str(records["5.6/half-width"]) == "25.0 µm"
-        assert list(ledger.summary("table-5.6/E").index) == ["table-5.6/E"]
+        entry, ours = ledger.claim("table-5.6/E"), "1.324 ± 0.020"
+        shown = {"quantity": entry.what, "printed": entry.printed, "recomputed": ours}
+        shown |= {"unit": entry.unit, "verdict": entry.label}
+        assert ledger.summary("table-5.6/E").to_dict("index") == {entry.id: shown}
         table = ledger.scorecard(tmp_path / "claims").set_index("claim")
-        assert table.loc["table-5.6/E", "recomputed"] == "1.324 ± 0.020"
+        shown |= {name: getattr(entry, name) for name in ("where", "says", "note", "test")}
+        assert (
+            table.loc[entry.id].to_dict().items()
+            >= (shown | {"part": ledger.part_of(entry)}).items()
+        )
         assert [*table.loc["table-5.6/E", ["low", "high"]]] == pytest.approx([1.30371, 1.34371])
         assert table["verdict"].isin(ledger.ORDER).all()
         places = table.loc[["section-4/contact-mechanics", "section-4.1/no-bending"], "where"]

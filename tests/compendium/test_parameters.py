@@ -1,8 +1,10 @@
 """A reader's text becomes a value of the parameter's type, or one line says why it cannot."""
 
+import re
+
 import pytest
 
-from compendium.parameters import read_values
+from compendium.parameters import describe, read_values
 from tests.compendium.test_run import write_notebook
 
 CELL = """record = ""  # not used here
@@ -74,3 +76,13 @@ def test_wrong_text_raises_one_line(notebook, name, text, message):
     with pytest.raises(ValueError, match=f"^{message.replace('?', '[?]')}") as caught:
         read_values(notebook, [(name, text)])
     assert "\n" not in str(caught.value)
+
+
+def test_table_of_parameters_has_default_accepted_values_and_meaning_of_each(notebook, monkeypatch):
+    monkeypatch.setattr("compendium.parameters.ROOT", notebook.parents[1])
+    table = describe("07_guide")
+    assert [*table.index] == re.findall(r"^(\w+) = ", CELL, re.M)[1:]  # without the record
+    assert [*table.loc["spacing"]] == ["25.0", "a finite number ≠ 0", "µm, between frames"]
+    assert [*table.loc["radius"]] == ["None", "a finite number > 0 or None", "µm; or an outline"]
+    assert [*table.loc["seed"]] == ["1", "a whole number", "of the noise"]
+    assert [*table.loc["out"]] == ['"build/guides/focus"', "a text", "folder"]

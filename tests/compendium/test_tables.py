@@ -41,6 +41,16 @@ def test_table_shows_printed_and_found_numbers(name, monkeypatch):
     assert [len(row) for row in table] == [columns] * rows
     texts = [[unescape(re.sub("<.*?>", " ", cell)) for cell in row] for row in table]
     assert re.split("[✓✗?≈•]", texts[at][across])[0].split() == printed.split()
+    # Columns differ by the same part of an id in each row, and say the units that rows do not.
+    layout = ledger.read_toml("tables.toml")[name]
+    ids = [
+        [set(re.findall(r"[a-z_]+|\d\w*", one)) for one in row["claims"]] for row in layout["rows"]
+    ]
+    for column, head in enumerate(layout["columns"]):
+        assert len({frozenset(row[column] - row[0]) for row in ids}) == 1, head
+        for row in layout["rows"]:
+            unit = ledger.claim(f"{name}/{row['claims'][column]}").unit.replace("deg", "°")
+            assert not unit or f"({unit})" in f"{layout['title']} {head} {row.get('label')}"
     # Each number stands once, with what was found for it and its own verdict.
     found = ledger.summary(f"{name}/")["recomputed"]
     expected = []
