@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from compendium import ledger
-from compendium.experiments import chapter_2_tracking, chapter_3, chapter_6, uncertainty
+from compendium.experiments import chapter_2_tracking, chapter_3, chapter_6, imaging, uncertainty
 from compendium.experiments.rendering import disc_blur
 
 
@@ -62,6 +62,23 @@ def test_power_equals_share_of_detected_simulated_differences(std):
     differ = np.abs(first - second + np.log(1.66)) > 1.959964 * np.sqrt(2) * std
     # Four standard errors of a share of 100 000.
     assert float(chapter_6.power(std)) == pytest.approx(differ.mean(), abs=0.0065)
+    assert chapter_6.power(chapter_6.needed_std()) == pytest.approx(0.95)
+
+
+def test_prices_of_choices_are_those_of_their_label():
+    modulus, calibration = imaging.of_modulus(), imaging.of_calibration()
+    # Squares of independent errors add; that of the force, 2 % if not varied, is one of them.
+    force, errors = np.square(modulus["error of the force (%)"])
+    np.testing.assert_allclose(np.diff(errors), np.diff(force))
+    length, errors = np.square(modulus["error of a length (µm)"])
+    np.testing.assert_allclose((errors - 2.0**2) / length, (errors[0] - 2.0**2) / length[0])
+    noise, errors = np.array(calibration["error of a point (px)"])
+    np.testing.assert_allclose(errors / noise, errors[0] / noise[0], rtol=0.02)
+    rest = modulus | calibration | imaging.of_focus() | imaging.of_tracking()
+    falling = {label for label, (_, errors) in rest.items() if errors[0] > errors[-1]}
+    assert {label.split(" (")[0] for label in falling} == {
+        "contrast", "number", "tilt", "side of the box", "depth of the dimple",
+    }  # fmt: skip
 
 
 def test_coverage_of_normal_errors_is_the_level_and_ignores_missing_heights():

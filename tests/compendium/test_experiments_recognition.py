@@ -55,6 +55,12 @@ def test_shares_regions_borders_and_curvatures_are_those_of_a_drawn_map():
     assert found[0].sum() == found[2].sum() == 1
 
 
+def test_share_and_its_interval_are_those_of_wilson():
+    # (p + z²/2n ± z √(p(1 − p)/n + z²/4n²)) / (1 + z²/n) with p = 0.8, n = 10 and z = 1.96.
+    found = recognition.wilson(np.arange(10) < 8)
+    assert found == pytest.approx((80.0, 49.02, 94.33), abs=0.01)
+
+
 def test_the_nearest_neighbor_is_named_and_a_stranger_is_not_sure():
     training = np.array([[0.0, 0.0], [0.4, 0.0], [0.9, 0.9], [0.9, 0.5]])
     names = np.array(["a", "a", "b", "b"])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from compendium import ledger, thesis
@@ -68,6 +69,8 @@ def test_readings_report_whether_printed_number_is_inside(station, monkeypatch):
     monkeypatch.setattr(section_5_4, "OTHER_READINGS", readings)
     table = section_5_4.by_reading(station, draws=8)
     assert len(table) == 3 * 18
+    inside = [row.low <= ledger.claim(row.claim).value <= row.high for row in table.itertuples()]
+    assert table["inside"].tolist() == inside
     value = table.set_index(["reading", "claim"])["value"]
     assumed, slower, shaken = (value[name] for name in ("as assumed", *names))
     # The lag is one sample of motion; what is at 1X stays.
@@ -77,6 +80,15 @@ def test_readings_report_whether_printed_number_is_inside(station, monkeypatch):
     for path in section_5_4.PATHS:
         id = f"table-5.4/4X/{path}/precision"
         assert shaken[id] > 2 * assumed[id]
+
+
+def test_readings_that_change_a_verdict_are_named_beside_it():
+    readings = np.repeat(["as assumed", "one", "other"], 3)
+    made = {"reading": readings, "claim": [*"abc"] * 3, "used": [False, False, True] * 3}
+    made = pd.DataFrame(made).assign(inside=np.array([1, 0, 1, 0, 0, 0, 0, 1, 1], bool))
+    found = section_5_4.decided(made).to_dict("index")
+    told = {"a": (True, "one; other"), "b": (False, "other")}
+    assert {claim: (*row.values(),) for claim, row in found.items()} == told
 
 
 def test_known_disturbance_is_identified(station, monkeypatch):
