@@ -41,13 +41,13 @@ SMALL = np.zeros((4, 5))
 LENGTH = [*BROKEN, 0, -1]
 #: What is refused in place of each argument.
 REFUSED = {
-    optics.BlurLadder: {"largest": [*NEGATIVE, 1e5]},
+    optics.BlurLadder: {"largest": [*NEGATIVE, 31.1]},
     optics.BlurLadder.at: {"sigma": lambda valid: [*not_finite(valid), SMALL, 4.1]},
     optics.blur_radius: {
         "object_distance": not_finite, "sensor_distance": [*LENGTH, 90.0],
         **dict.fromkeys(("focal_length", "aperture_radius"), LENGTH),
     },
-    optics.defocus: {"sigma": [*BROKEN, -1, 1e5, SMALL]},
+    optics.defocus: {"sigma": [*BROKEN, -1, 31.1, SMALL]},
     optics.gaussian_kernel: {"size": [*NO_COUNT, 6]},
     optics.gaussian_transfer: {"u": BROKEN, "v": not_finite, "sigma": [*BROKEN, -1]},
     optics.image_distance: {"object_distance": lambda valid: [*not_finite(valid), 50.0]},
@@ -136,6 +136,8 @@ def test_varying_defocus_equals_sum_over_kernels_of_pixels():
         assert ours[y, x] == pytest.approx(direct, abs=0.25)  # five times the ladder's rms error
     sharp = IMAGE.astype(np.float32)
     assert not np.shares_memory(optics.defocus(sharp, 0.0), sharp)
+    for widest in (31.0, np.full(IMAGE.shape, 31.0)):  # the longest side leaves nearly the mean
+        assert np.ptp(optics.defocus(IMAGE, widest)) < 1
 
 
 @pytest.mark.parametrize("largest", [0.3, 0.9, 2.0, 4.7, 9.0])

@@ -166,6 +166,12 @@ def test_outline_is_drawn_with_curve_and_modulus():
     np.testing.assert_array_equal(outline, np.transpose([found.boundary.x, found.boundary.y]))
     np.testing.assert_array_equal(curve, found.dimple.curve.T)
     assert not ax.yaxis_inverted()
+    flat = replace(found, boundary=replace(found.boundary, y=found.boundary.y / 9))
+    (ax,) = flat.plot().axes
+    width, height = np.ptp(outline, axis=0) / [1, 9]
+    # Four times as wide as high, to half a whole factor.
+    assert width / height / ax.get_aspect() == pytest.approx(4, rel=0.25)
+    assert ax.get_ylabel() == f"y, up (px), drawn {ax.get_aspect():g} times as high"
 
 
 @pytest.mark.parametrize(("timed", "micrometers"), [(True, False), (False, True)])

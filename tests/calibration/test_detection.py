@@ -45,6 +45,9 @@ def test_bias_of_marks_by_perspective_and_distortion_is_removed(kind, scope, pit
     lone = np.column_stack([found.uncertainty, found.group])
     np.testing.assert_array_equal(table[["uncertainty", "group"]], lone)
     assert "in {}×{} px".format(*scope.image_size) in repr(found)
+    assert (f"px, side {found.side:.4g} pitches" in repr(found)) == (kind == "square")
+    sizes = np.median(found.uncertainty), found.normalized_rms
+    assert "σ {:.2g} px, residuals {:.2g} σ".format(*sizes) in repr(found)
     for pair in ("grid", "positions", "points"):
         columns = [f"{pair}_{name}" for name in ("ij" if pair == "grid" else "xy")]
         np.testing.assert_array_equal(table[columns], getattr(found, pair))

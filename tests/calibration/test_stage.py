@@ -106,6 +106,7 @@ def test_json_gives_imagej_and_micro_manager_the_pixel_size():
     content = json.loads(found.to_json())
     width, height = SCOPE.pitch / found.microscope.magnification
     pixel = content["imagej"]
+    assert pixel["unit"] == "µm"
     assert (pixel["pixel_width"], pixel["pixel_height"]) == pytest.approx((width, height))
     mean = content["micro_manager"]["PixelSizeUm"]
     assert mean == pytest.approx(np.sqrt(width * height))
