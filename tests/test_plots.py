@@ -197,6 +197,7 @@ def test_path_is_drawn_over_the_frame_and_against_time(timed, micrometers):
     wanted = (gaps, *(box[[0, 1, 2, 3, 0]] + start for start in (starts[-1], starts[1])))
     for line, points in zip(way.lines, wanted, strict=True):
         np.testing.assert_array_equal(line.get_xydata().astype(float), points)
+    assert [line.get_label() for line in way.lines[1:]] == ["last position", "first position"]
     # Twice the box's sides are seen about the way, inside the frame.
     assert way.get_xlim() == (middle[1, 0] - 38, middle[-1, 0] + 38)
     assert way.get_ylim() == (middle[1, 1] + 18, -0.5)

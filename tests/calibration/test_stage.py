@@ -61,7 +61,7 @@ def test_intervals_of_a_stage_scale_contain_the_truth_as_often_as_stated():
 def test_three_stage_moves_have_nan_uncertainty_and_moves_on_one_line_are_rejected():
     found = stage_affine(MOVES[:3], MOVES[:3] * 2)
     assert np.isnan(found.covariance).all()
-    assert np.isnan(found.um_per_pixel.uncertainty)
+    assert np.isnan([found.um_per_pixel.uncertainty, *found.um_per_pixel.interval]).all()
     for name, moves in (("stage", MOVES * [1, 0]), ("image", MOVES * [0, 1])):
         with pytest.raises(ValueError, match=name):
             stage_affine(**{"stage": MOVES, "image": MOVES} | {name: moves})

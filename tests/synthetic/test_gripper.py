@@ -25,3 +25,4 @@ def test_gripper_moves_by_the_shift(pixel_size):
     np.testing.assert_allclose(found[::-1], shift, atol=0.15)
     at, moved = (scene.box(20, s)[:2] for s in ((0, 0), (7, -3)))
     assert moved == tuple(np.add(at, (7, -3)))
+    np.testing.assert_allclose(np.add(at, 9.5), (159.5, 119.5), atol=0.5)  # the middle
