@@ -84,7 +84,7 @@ REJECTED: list[tuple[str, Callable[[Path, NDArray], object]]] = [
     *((r"a\.tif", lambda to, _, text=text: make.content(to / "a.tif", text))
         for text in (b"", b"no TIFF", b"II*\0", b"II*\0 cut off")),
     # Pictures and films.
-    (r"frames\[12\], .*12\.png, must be uint8 of shape \(48, 56\) .* \(20, 56\)",
+    (r"12\], .*12\.png, must be uint8 of shape \(48, 56\) like frames\[0\], .* 0\.png, got .*\(20,",
         lambda to, frames: make.picture(scan(to, frames) / "frame 12.png", frames[0, :20]).parent),
     (r"frames must hold images, got none in .*\*\.jpg", lambda to, f: f"{scan(to, f)}/*.jpg"),
     ("frames must hold images, got none in", lambda to, _: to),
