@@ -12,11 +12,10 @@ from microlib.embryo import GaussianSum, dimple_geometry, fit_gaussians
 def test_rim_is_nearest_maximum_in_upper_half() -> None:
     # The hill at 100 px is the rim if it is higher than half the dimple, else the one behind it is.
     for height, rim in ((60.0, 100.0), (20.0, 50.0)):
-        curve = GaussianSum(
-            [80.0, height, 70.0], [50.0, 100.0, 190.0], [12.0, 12.0, 20.0], domain=(20, 220)
-        )
+        sizes = [80.0, height, 70.0, 70.0], [50.0, 100.0, 190.0, 350.0], [12.0, 12.0, 20.0, 20.0]
+        curve = GaussianSum(*sizes, domain=(20, 330))  # lowest near 270, before a hill beyond it
         mirrored = GaussianSum(
-            curve.amplitudes, -curve.centers, curve.widths, domain=(-220.0, -20.0)
+            curve.amplitudes, -curve.centers, curve.widths, domain=(-330.0, -20.0)
         )
         found = dimple_geometry(curve, pixel_size=2.0)
         assert found.rim[0] == pytest.approx(rim, abs=1)

@@ -116,6 +116,7 @@ def test_a_target_beyond_the_travel_ends_the_run_before_any_move():
     np.testing.assert_array_equal(scope.workstation.stage.position(), 0.0)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_servo_runs_outside_the_main_thread():
     runs = []
     thread = threading.Thread(target=lambda: runs.append(steer(scope_of(), AWAY)))
