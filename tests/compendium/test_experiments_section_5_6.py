@@ -33,13 +33,6 @@ def reach():
     return section_5_6.rounding_reach()
 
 
-def test_coordinates_without_rounding_are_those_of_the_curve():
-    base = section_5_6.read_off()
-    curve = thesis.outline_curve()
-    dimple = dimple_geometry(curve, pixel_size=thesis.EMBRYO_PIXEL)
-    np.testing.assert_allclose(base[:4], [*dimple.rim, *dimple.bottom])
-
-
 def test_printed_coordinates_need_nearly_all_of_the_rounding(reach):
     stated = [claim(f"section-5.6/{name}") for name in ("x_1", "y_1", "x_2", "y_2")]
     printed = np.array([one.value for one in stated])

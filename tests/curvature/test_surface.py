@@ -92,36 +92,21 @@ def test_smallest_map_has_one_known_pixel(size):
     assert found.gaussian[size - 1, size - 1] == pytest.approx(1 / 800**2, rel=1e-9)
 
 
-def test_gaussian_uncertainty_matches_first_order_propagation_on_curved_surface():
-    """On a strong bowl or saddle K is linear in a small error: the answer to one pixel has all
-    weights. Slopes are zero at the center, and the second order is 1e-6 of the first."""
-    for bowl in ((X**2 + Y**2) / 40, (X**2 - Y**2) / 40, X * Y / 20, X**2 / 20 + X * Y / 30):
-        noise, push = 1e-5, 1e-7
-        plane = surface_curvature(bowl, SIDES, noise=noise)
-        squares = 0.0
-        # One pixel after the other within the windows' reach of the center.
-        for row in range(-6, 7):
-            for column in range(-6, 7):
-                pushed = bowl[HALF - 6 : HALF + 7, HALF - 6 : HALF + 7].copy()
-                pushed[6 + row, 6 + column] += push
-                answer = surface_curvature(pushed, SIDES).gaussian[6, 6]
-                squares += ((answer - plane.gaussian[HALF, HALF]) / push) ** 2
-        assert plane.gaussian_uncertainty[HALF, HALF] == pytest.approx(
-            noise * squares**0.5, rel=2e-3
-        )
-
-
-def test_mean_uncertainty_matches_first_order_propagation_on_tilted_plane():
-    """A plane has no curvature, so that an error of its slope leaves H as it is: to first order
-    H is linear in what is pushed, with the weights of the derivatives and of the slope alone."""
-    plane, push = (0.8 * X + 0.5 * Y)[:13, :13], 1e-6
-    squares = 0.0
-    for at in np.ndindex(13, 13):
-        pushed = plane.copy()
-        pushed[at] += push
-        squares += (surface_curvature(pushed, SIDES).mean[6, 6] / push) ** 2
-    found = surface_curvature(plane, SIDES, noise=1e-3)
-    assert found.mean_uncertainty[6, 6] == pytest.approx(1e-3 * squares**0.5, rel=1e-4)
+def test_uncertainties_match_first_order_propagation():
+    """The answer to a small error of one height has all weights: of K on a strong bowl or saddle,
+    where the second order is 1e-6 of the first, and of H on a plane, where an error of the slope
+    has no part."""
+    bowls = (X**2 + Y**2) / 40, (X**2 - Y**2) / 40, X * Y / 20, X**2 / 20 + X * Y / 30
+    for field, surface in (*(("gaussian", bowl) for bowl in bowls), ("mean", 0.8 * X + 0.5 * Y)):
+        height = surface[HALF - 6 : HALF + 7, HALF - 6 : HALF + 7]  # within reach of the center
+        found, push, squares = surface_curvature(height, SIDES, noise=1e-5), 1e-7, 0.0
+        for at in np.ndindex(13, 13):
+            pushed = height.copy()
+            pushed[at] += push
+            answer = getattr(surface_curvature(pushed, SIDES), field)
+            squares += ((answer - getattr(found, field))[6, 6] / push) ** 2
+        stated = getattr(found, f"{field}_uncertainty")[6, 6]
+        assert stated == pytest.approx(1e-5 * squares**0.5, rel=2e-3)
 
 
 def test_regions_are_connected_along_rows_and_columns():

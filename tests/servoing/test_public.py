@@ -326,13 +326,3 @@ def test_reason_states_positions_from_the_start():
     assert run.reason.startswith("the stage is beyond the travel")
     numbers = [float(number) for number in re.findall(r"[\d.]+", run.reason)]
     assert numbers == pytest.approx([500.0, 400.0, 40.0, 400.0], abs=1.0)
-
-
-def test_relative_error_of_the_jacobian_remains_after_a_move():
-    workstation = begun()
-    targets = workstation.feature + STEP
-    given = {"jacobian": 1.25 * J, "travel": 400.0, "tolerance": 0.5}
-    log = servoing.servo(workstation, seeing(workstation), targets, **given).log
-    seen = log.loc[log["phase"] == "servo", ["measured_x_px", "measured_y_px"]].to_numpy()
-    left = np.linalg.norm(targets - seen, axis=1)
-    assert left[1] / left[0] == pytest.approx(1 - 1 / 1.25, abs=0.06)  # drift and noise

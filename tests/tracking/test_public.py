@@ -212,16 +212,6 @@ def test_track_of_a_frame_does_not_depend_on_earlier_frames():
         np.testing.assert_allclose(again.covariance, new.covariance, rtol=within)
 
 
-def test_kalman_filter_set_on_a_tracker_predicts_the_next_frame():
-    one, other = SCENE + NOISE[0], MOVED + NOISE[1]
-    tracker = ESMTracker(one, BOX, "affine")
-    center = tracker.track(one).center
-    tracker.kalman = KalmanFilter(center, interval=0.04, acceleration=300.0, noise=0.1)
-    track = tracker.track(other)
-    np.testing.assert_allclose(tracker.kalman.position, track.center, atol=0.1)
-    np.testing.assert_allclose(track.center - center, BY, atol=0.05)
-
-
 def test_row_of_a_track_names_each_number():
     corners = np.array([[1.0, 2], [30, 4], [31, 25], [3, 26]])
     numbers = {"corners": corners, "homography": np.arange(9.0).reshape(3, 3)}
