@@ -341,18 +341,6 @@ def detection(scope):
     return detection_of(positions, scope.project(world), image_size=scope.image_size)
 
 
-def test_detections_need_only_pitch_and_pixel_pitch():
-    scopes = [tilted(6, 1), tilted(-8, 5)]
-    found = [detection(scope) for scope in scopes]
-    sensor = {"pixel_pitch": SENSOR["pixel_pitch"], "focal_length": F}
-    one = calibrate(found[0], pitch=280, **sensor)
-    world = 280 * found[0].positions
-    again = calibrate(world, found[0].points, **sensor, image_size=(656, 491))
-    assert one.microscope == again.microscope
-    both = calibrate(found, pitch=280, **sensor)
-    assert [v.tilt for v in both.views] == pytest.approx([scope.tilt for scope in scopes], rel=1e-4)
-
-
 FOUND = detection(SCOPE)
 OTHER = [replace(FOUND, image_size=size) for size in ((656, 490), (657, 491))]
 NO_SIZE = {"pixel_pitch": 9.9}

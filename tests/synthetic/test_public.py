@@ -244,15 +244,6 @@ def test_grey_levels_follow_their_unit():
         hold_scaled(draw(**given(grey=grey)), draw(**given()), grey, within=1e-5)
 
 
-def test_transposed_shape_gives_transposed_surface():
-    for draw in (
-        lambda shape: synthetic.paraboloid(shape, 9.0),
-        lambda shape: synthetic.cone(shape, 9.0, 9.0),
-        lambda shape: synthetic.sphere_on_plane(shape, 30.0, 4.0),
-    ):
-        np.testing.assert_allclose(draw(SHAPE[::-1]), draw(SHAPE).T)
-
-
 @each_view
 def test_focal_stack_follows_flips_and_rotations(view):
     given = {"positions": FOCI, "blur_rate": 0.2}
