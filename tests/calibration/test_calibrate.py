@@ -304,6 +304,7 @@ def test_focal_length_and_tilt_are_undetermined_for_parallel_planes(views, noise
         assert found.reprojection.rms < 1e-8 + 1.5 * noise
         assert "tilt" not in repr(found)
         assert "focal length not determined" in repr(found)
+        assert f"\n  undetermined: {', '.join(found.undetermined)}" in repr(found)
         camera = json.loads(found.to_json())["opencv"]
         assert not any(np.ravel(camera[name]).any() for name in camera if "image" not in name)
         given = calibrate(worlds, image, focal_length=f, **SENSOR)
@@ -411,7 +412,8 @@ def test_inadequate_model_has_small_p_value_and_larger_sigma(lack):
         scale[name] = np.median(shares)
     assert adequate["lacking"] <= 0.1
     text = repr(found[0])
-    assert f"{found[0].reprojection.rms:.3g} px rms residual" in text
+    start = f"Calibration of {len(found[0].residuals)} points in 1 view(s), "
+    assert text.startswith(f"{start}{found[0].reprojection.rms:.3g} px rms residual")
     assert f"in the pattern's plane {found[0].plane_error.rms:.2g} µm rms; the" in text
     assert f"is {found[0].widening:.2g} times as wide" in text
     assert widening["exact"] == 1
