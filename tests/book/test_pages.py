@@ -79,8 +79,8 @@ def test_pages_fit_screens_and_are_accessible(page: Page, html: Path, part: int)
         open_page(page, html / f"{name}.html", 1280, 844)
         if page.locator(".math").count():
             page.wait_for_function("window.formulasFit")
-        opens_to_everyone(page, name)
         fits_and_is_drawn(page, name)
+        opens_to_everyone(page, name)
 
 
 def test_library_pages_fit_screens(page: Page, html: Path) -> None:
