@@ -29,17 +29,7 @@ def test_stage_reports_a_move_until_it_arrives():
     np.testing.assert_array_equal(scope.stage.position(), (7500.0, -7500.0))  # 15 mm in all
 
 
-def test_stop_ends_a_move_at_the_current_position():
-    scope = workstation(stage=StageModel(saturation=100.0, increment=0.0))
-    scope.stage.move_to(np.array([300.0, 0.0]))
-    scope.clock.sleep(0.1)
-    scope.stage.stop()
-    assert not scope.stage.moving()
-    scope.clock.sleep(0.05)
-    np.testing.assert_allclose(scope.stage.position(), [10.0, 0.0])
-
-
-def test_simulated_feature_drifts_and_stage_stays_within_travel():
+def test_simulated_feature_drifts_and_stage_stops_at_once_and_stays_within_travel():
     scope = workstation(
         stage=StageModel(saturation=50.0, increment=0.0, travel=20.0), drift=(1.0, -2.0)
     )
@@ -51,7 +41,12 @@ def test_simulated_feature_drifts_and_stage_stays_within_travel():
     assert scope.stage.moving()
     scope.clock.sleep(10.0)
     np.testing.assert_allclose(scope.stage.position(), (2.0, -20.0))
+    scope.stage.move_to(np.array([300.0, 0.0]))
+    scope.clock.sleep(0.1)
+    scope.stage.stop()
     assert not scope.stage.moving()
+    scope.clock.sleep(0.05)
+    np.testing.assert_allclose(scope.stage.position(), (7.0, -15.0))
 
 
 def test_exposures_are_one_interval_apart_and_frames_return_after_the_latency():

@@ -104,20 +104,6 @@ def test_template_partly_outside_the_image_is_tracked():
     np.testing.assert_allclose(track.corners[0], (-16, 20), atol=0.05)
 
 
-def test_jump_along_the_edges_of_the_jaws_is_tracked():
-    # Along the bars only the grain fixes the position.
-    rng = np.random.default_rng(10)
-    scene = gripper_scene(rng, pixel_size=1.55)
-    tracker = ESMTracker(scene.frame((0, 0), rng), scene.box(90), "translation")
-    middle = tracker.track(scene.frame((0, 0), rng)).center
-    # Shifts from the start; jumps of 11, 14 and 18 px.
-    for shift in ((11.0, 1.0), (24.0, -3.0), (6.0, 0.0)):
-        track = tracker.track(scene.frame(shift, rng))
-        assert not track.lost
-        # The box also holds background, which rests and pulls the position: measured 0.05 px.
-        assert np.linalg.norm(track.center - middle - shift) < 0.2
-
-
 def test_reason_of_a_loss_is_out_of_view_when_the_prediction_leaves_the_image():
     texture = mixed_texture((100, 200), np.random.default_rng(9), scales=1.0, std=45.0)
     kalman = KalmanFilter((64.5, 44.5), interval=1.0, acceleration=500.0, noise=0.1)
@@ -253,27 +239,33 @@ def test_filter_serves_for_a_second_film_as_for_the_first():
 
 
 @pytest.mark.parametrize(
-    ("pixel_size", "size", "noise", "least", "limit"),
+    ("pixel_size", "size", "noise", "limit"),
     [
         # One jaw resembles the other: a search near the old place finds the wrong one.
-        (6.23, 50, 2.0, 30.0, 1.0),
+        (6.23, 50, 2.0, 1.0),
         # Two thirds of the box are static background, which no interpolation has changed, and
-        # which pulls the position by up to 0.1 px.
-        (1.55, 90, 0.0, 11.0, 0.5),
-        (1.55, 90, 0.3, 11.0, 0.5),
+        # which pulls the position by up to 0.1 px. Along the bars only the grain fixes it.
+        (1.55, 90, 0.0, 0.2),
+        (1.55, 90, 0.3, 0.2),
+        (1.55, 90, 2.0, 0.2),
     ],
 )
 def test_gripper_that_jumps_is_found_at_the_right_place_or_reported_lost(
-    pixel_size, size, noise, least, limit
+    pixel_size, size, noise, limit
 ):
+    """Jumps of 11 px and, if there is as much noise as in a camera, also of 14 and 18 px."""
     for seed in range(5):
         rng = np.random.default_rng([seed, 3])
         scene = gripper_scene(rng, pixel_size=pixel_size)
-        first, box = scene.frame((0, 0), rng, noise=noise), scene.box(size)
-        by = np.array([rng.uniform(-10, 10), rng.choice([-1, 1]) * rng.uniform(1, 1.3) * least])
-        by = by if noise == 2 else np.array([least, 1.0])
-        track = ESMTracker(first, box, "translation").track(scene.frame(by, rng, noise=noise))
-        assert track.lost or np.abs(track.corners[0] - box[:2] - by).max() < limit
+        tracker = ESMTracker(scene.frame((0, 0), rng, noise=noise), scene.box(size), "translation")
+        ways = [(11.0, 1.0), (24.0, -3.0), (6.0, 0.0)]
+        if pixel_size > 2:
+            ways = [(rng.uniform(-10, 10), rng.choice([-1, 1]) * rng.uniform(30, 39))]
+        for k, by in enumerate(ways):
+            track = tracker.track(scene.frame(by, rng, noise=noise))
+            off = track.corners[0] - scene.box(size)[:2] - by
+            assert track.lost or np.abs(off).max() < limit
+            assert not track.lost or pixel_size > 2 or (k and noise < 2)
 
 
 @pytest.mark.parametrize("motion", ["translation", "homography"])
