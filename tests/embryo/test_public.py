@@ -140,10 +140,13 @@ def test_wrong_arguments_are_refused_by_name(function):
 def test_dimple_and_modulus_follow_units_of_length_and_force():
     um, uN = 1.7, 0.45
     fit = partial(fit_dimple, small_outline())
-    lengths = dict.fromkeys(("rim_radius", "dimple_depth", "pixel_size", "probe_half_width"), um)
-    dimple = {**lengths, "covariance": um**2, "rim_curvatures": 1 / um}
-    found = fit(pixel_size=7.75 * um, probe_half_width=25.0 * um)
-    hold_scaled(found, fit(pixel_size=7.75, probe_half_width=25.0), within=1e-6, **dimple)
+
+    def dimple(by: float) -> dict:
+        sizes = ("rim_radius", "dimple_depth", "pixel_size", "probe_half_width")
+        return dict.fromkeys(sizes, by) | {"covariance": by**2, "rim_curvatures": 1 / by}
+
+    found = fit(pixel_size=0.0775, probe_half_width=0.25)
+    hold_scaled(found, fit(pixel_size=7.75, probe_half_width=25.0), within=1e-6, **dimple(0.01))
     given = CALLS[modulus_from_image]()
     moduli = dict.fromkeys(("modulus", "model_moduli", "model_interval"), uN / um**2)
     sizes = {name: um * given[name] for name in ("pixel_size", *SIZES)}
@@ -151,7 +154,7 @@ def test_dimple_and_modulus_follow_units_of_length_and_force():
     assumed = {"thickness": um, "probe_half_width": um}
     # Models are solved to 1e-6.
     plain = modulus_from_image(**given)
-    hold_scaled(found, plain, within=1e-5, force=uN, dimple=dimple, given=assumed, **moduli)
+    hold_scaled(found, plain, within=1e-5, force=uN, dimple=dimple(um), given=assumed, **moduli)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_wrong_arguments_are_refused_by_name(function):
 
 
 @pytest.mark.parametrize("measure", ["multiscale", partial(sum_modified_laplacian, window=7)])
-@pytest.mark.parametrize(("grey", "um", "z0"), [(1 / 255, 1.7, 0.0), (257.0, 1.0, -172.0)])
+@pytest.mark.parametrize(("grey", "um", "z0"), [(1 / 255, 0.017, 0.0), (257.0, 1.0, -172.0)])
 def test_depth_follows_units_of_grey_levels_and_positions(measure, grey, um, z0):
     found = depth_from_focus(grey * STACK, um * (Z + z0), measure=measure)
     plain = depth_from_focus(STACK, Z, measure=measure)
@@ -138,7 +138,7 @@ def test_depth_far_from_zero_keeps_its_digits(measure, origin, spacing):
     np.testing.assert_allclose(found.uncertainty, plain.uncertainty, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("um", "z0"), [(1.7, 0.0), (1.0, -172.0)])
+@pytest.mark.parametrize(("um", "z0"), [(0.017, 0.0), (1.0, -172.0)])
 def test_corrected_depths_and_peaks_follow_unit_and_origin(um, z0):
     def there(z):
         return um * (z + z0)

@@ -59,7 +59,7 @@ def steps(kalman: KalmanFilter, position: object = None) -> tuple:
 
 def film(grey: float = 1.0) -> dict:
     frames = [grey * frame for frame in FRAMES]
-    return {"frames": frames, "box": BOX, "motion": "affine", "rate": 25.0, "pixel_size": 1.5}
+    return {"frames": frames, "box": BOX, "motion": "affine", "rate": 0.25, "pixel_size": 0.15}
 
 
 #: The result for a frame.
@@ -116,7 +116,7 @@ def test_track_follows_unit_of_grey_levels(grey):
     hold_scaled(found.to_dict(), plain.to_dict(), within=2e-3, bias=grey)
 
 
-@pytest.mark.parametrize(("px", "s", "start"), [(0.6, 2.3, START), (1.0, 1.0, START + 31.0)])
+@pytest.mark.parametrize(("px", "s", "start"), [(0.006, 2.3, START), (1.0, 1.0, START + 31.0)])
 def test_kalman_filter_follows_units_and_origin(px, s, start):
     measured = np.array([8.7, -6.2])
     found = steps(used(px, s, start), (start + measured) * px)
