@@ -17,12 +17,12 @@ def test_rim_is_nearest_maximum_in_upper_half() -> None:
         mirrored = GaussianSum(
             curve.amplitudes, -curve.centers, curve.widths, domain=(-330.0, -20.0)
         )
-        found = dimple_geometry(curve, pixel_size=2.0)
+        found = dimple_geometry(curve, pixel_size=0.5)
         assert found.rim[0] == pytest.approx(rim, abs=1)
-        way = 2.0 * np.subtract(found.rim, found.bottom)  # µm
+        way = 0.5 * np.subtract(found.rim, found.bottom)  # µm
         assert (found.rim_radius, found.dimple_depth) == pytest.approx((-way[0], way[1]))
         assert found.bottom[1] == pytest.approx(curve(np.linspace(100, 190, 999)).min(), abs=1e-3)
-        other = dimple_geometry(mirrored, pixel_size=2.0, rim="right")
+        other = dimple_geometry(mirrored, pixel_size=0.5, rim="right")
         assert other.rim_radius == pytest.approx(found.rim_radius, rel=1e-9)
         assert other.rim[0] == pytest.approx(-found.rim[0])
 

@@ -93,6 +93,8 @@ def test_result_does_not_depend_on_workers_and_kind_of_frames(dome, measure):
     for frames in (iter(stack), (frame.copy() for frame in stack), list(stack)):
         same(depth_from_focus(frames, POSITIONS, measure=measure, workers=3), whole)
     same(depth_from_focus(stack, spacing=STEP, measure=measure), whole)
+    falling = depth_from_focus(stack, -POSITIONS, measure=measure)
+    same(depth_from_focus(stack, spacing=-STEP, measure=measure), falling)
     if measure == "sml":
         same(depth_from_focus(stack, POSITIONS, measure=sum_modified_laplacian), whole)
 
