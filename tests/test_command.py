@@ -304,7 +304,7 @@ def test_calibrate_writes_what_the_library_returns(line, given, tmp_path, capsys
 
 def test_micrometers_give_a_table_of_objectives(tmp_path, capsys, figures):
     """Divisions that are finer than the name says are noted; a blank photograph is left out."""
-    gaps = {"10x": 15.7, "20x": 31.1, "2x": 15.7, "40x, dry": 62.9, "63x": 15.7}
+    gaps = {"2x": 15.7, "10x": 15.7, "20x": 31.1, "40x, dry": 62.9, "63x": 15.7}
     for name, gap in gaps.items():
         places = gap * np.arange(np.ceil(-120 / gap), 121 / gap)
         cv2.imwrite(str(tmp_path / f"{name}.png"), ruled(places, 60.0, gap / 5))
