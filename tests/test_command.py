@@ -735,7 +735,8 @@ def test_headline_of_moduli_spans_both_rims_whichever_is_further(side, tmp_path,
         # A source that is not there, or shows something else.
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
         ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
-        ("calibrate embryo.png --marks charuco --pitch 280", "microlib calibrate: "),
+        ("calibrate embryo.png --marks charuco --pitch 9", ": image must show the corners of a C"),
+        (f"calibrate embryo.png {INPUTS}/height_um.tif --pitch 280", "; so 2 photographs"),
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
         (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
         # Outputs.

@@ -92,9 +92,10 @@ def test_json_gives_opencv_the_same_image_points(scope, change, pitch, given, er
     content = json.loads(calibrate(worlds, images, **SENSOR, **given).to_json())
     camera = content["opencv"]
     assert camera["distortion_model_error_px"] < error
+    assert np.shape([camera["rotation_vectors"], camera["translation_vectors_um"]]) == (2, 2, 3)
     assert (camera["image_width"], camera["image_height"]) == scope.image_size
     for seen, image in zip(seen_by_opencv(camera, worlds), images, strict=True):
-        assert np.abs(seen - image).max() < (error)
+        assert np.abs(seen - image).max() < error
     assert scope is not WIDE or len(camera["distortion_coefficients"]) == 8
 
 
