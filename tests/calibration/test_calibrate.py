@@ -151,7 +151,6 @@ def test_exact_views_give_their_lens_and_no_further_parameters(count, focal_leng
         assert len(found.parameters) == 1 + (focal_length is None) + 6 * count
         assert found.undetermined == ()
         assert found.adequate
-        assert found.views[0] == found.microscope
         for scope, view in zip(scopes, found.views, strict=True):
             assert view.focal_length == pytest.approx(F, rel=1e-7)
             assert view.magnification == pytest.approx(M, rel=1e-9)
@@ -464,7 +463,6 @@ def test_views_drawn_by_opencv_give_its_lens():
     assert found.reprojection.rms < 1.1 * NOISE * np.sqrt(2)
     assert found.plane_error.rms < 280 / 46 * 1.3 * NOISE * np.sqrt(2)
     assert found.adequate
-    assert len(found.residuals) == sum(map(len, image))
     assert found.dof == 11 * 8 - 1  # the errors of a mark are the same in all views
 
 
