@@ -14,6 +14,7 @@ import pytest
 import tifffile
 
 from compendium import run
+from compendium.experiments import imaging
 from compendium.figures import use_style
 from compendium.guides import FOLDER, Input, manifest
 from compendium.parameters import read_values
@@ -55,6 +56,18 @@ LEAVES = {
 def _style() -> None:
     """Set the style of the figures before a guide does it."""
     use_style()
+
+
+@pytest.fixture(autouse=True)
+def _few_prices(monkeypatch) -> None:
+    """Draw the errors of imaging, which depend on no file of a reader's, at one value of each."""
+    vary = imaging.vary
+
+    def first(error, **choices):
+        few = {name: (label, values[:1]) for name, (label, values) in choices.items()}
+        return vary(error, **few)
+
+    monkeypatch.setattr(imaging, "vary", first)
 
 
 def source(guide: str) -> nbformat.NotebookNode:
