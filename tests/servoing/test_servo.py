@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from microlib.servoing import StageModel, servo
-from tests.checks import hold_same
+from tests.checks import hold_record, hold_same
 from tests.scenes.microscope import demo_scope, simulated_scope, turned
 
 JACOBIAN = turned(0.7, 0.25, mirrored=True)
@@ -44,6 +44,8 @@ def test_targets_are_reached_and_every_frame_is_logged(camera):
     assert run.reason == ""
     moved = scope.jacobian @ scope.workstation.stage.position()
     np.testing.assert_allclose(moved, AWAY, atol=0.12)
+    hold_record(run)
+    assert run.to_dict()["jacobian_x_y"] == run.jacobian[0, 1]  # of x by the second axis
     log = run.log
     hold_same(log[:-1].to_dict("records"), rows)
     stopped = log[["stage_x_um", "stage_y_um"]].iloc[-1]
