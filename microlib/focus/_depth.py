@@ -139,11 +139,11 @@ def depth_from_focus(
       with five textures, 2 to 12 frames outside, 0.7 % of the pixels had neither.
 
     A pixel is flagged in `at_end` if its sharpest frame is the first or the last frame. With
-    "multiscale" it is also flagged if its depth is less than half a frame spacing from that frame,
-    or less than two and a quarter of the pixels around are flagged. The depth of a flagged pixel is
-    the position of that frame, or the peak that "multiscale" fits. If this depth is less than two
-    frame spacings from the first or the last position, the true depth may lie outside, and the
-    uncertainty of a random depth is added in quadrature.
+    "multiscale" it is also flagged if its depth is within half a frame spacing of that frame, or
+    within two frame spacings and a quarter of the pixels around it are flagged. The depth of a
+    flagged pixel is the position of that frame, or the peak that "multiscale" fits. If this depth
+    is within two frame spacings of the first or the last position, the true depth may lie outside,
+    and the uncertainty of a random depth is added in quadrature.
 
     References
     ----------

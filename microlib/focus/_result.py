@@ -50,9 +50,9 @@ class FocusResult(FlatResult):
         Every pixel from the frame `index`, or where there is no depth from its sharpest one. Where
         this number changes, the frames are blended over a few pixels.
     at_end : ndarray of bool, shape (rows, cols)
-        Whether the true focus may lie outside the stack: the sharpest frame is the first or the
-        last, or the depth is near it and that holds for a quarter of the pixels around. Averaged
-        frames count as one.
+        Whether the true focus may lie outside the stack, because the sharpest frame of the pixel or
+        of a quarter of the pixels around it is the first or the last; see `depth_from_focus`.
+        Averaged frames count as one.
     warps : ndarray, shape (n, 2, 3), or None
         If the stack was registered: warp matrix of each frame, as `cv2.findTransformECC` returns
         it, which takes x, y and 1 of a pixel of the result to x and y in the frame, px. NaN for
