@@ -53,7 +53,7 @@ def test_writers_refuse_by_name_and_keep_their_arrays(write, tmp_path):
         "what": [None, 5],
         "height": no_map,
         "pixel_size": [*BROKEN[1:], 0, -1],
-        "image": [HEIGHT],
+        "image": [HEIGHT, np.ma.array(np.zeros(HEIGHT.shape, np.uint8))],
     }
     wrong = {name: wrong[name] for name in given if name in wrong}
     hold_refused(write, given, wrong)
