@@ -139,19 +139,25 @@ def test_relief_is_finite_beside_ground_without_weight():
         assert np.abs(found).max() < 10
 
 
-def test_rules_reject_small_pieces_and_isolated_depths_only():
-    """Pieces of 14 px, half a circle of 3 px, and depths where most of such a circle has none."""
+def test_rules_reject_doubted_faint_small_and_isolated_depths_only():
+    """Pieces of 14 px, half a circle of 3 px, and depths where most of such a circle has none.
+
+    Measures disagree in three places, of which the wide depth confirms one.
+    """
     depth = np.full((60, 72), 5.0, np.float32)
     small, large, alone = np.s_[10:13, 10:14], np.s_[30:35, 10:15], np.s_[20:24, 50:54]
-    depth[small] = depth[large] = 8.0
+    halo, unknown, off, confirmed = (np.s_[42:47, k : k + 5] for k in (2, 10, 18, 26))
+    depth[small] = depth[large] = depth[halo] = 8.0
     depth[:, 36:] = np.nan
     depth[alone] = 5.0
     zero = np.zeros_like(depth)
-    no, bounds = zero > 0, (zero, zero + 9)
-    peaks = _peaks.Peaks(
-        depth, zero + 1, zero, zero, no, no, *bounds, zero, zero.astype(np.uint16), 5
-    )
+    weight, disagreement, low, high = zero + 1, zero.copy(), zero.copy(), zero + 9
+    weight[halo], low[unknown], low[off] = 0.05, np.nan, 7.0
+    disagreement[unknown] = disagreement[off] = disagreement[confirmed] = 1.0
+    no, best = zero > 0, zero.astype(np.uint16)
+    peaks = _peaks.Peaks(depth, weight, zero, disagreement, no, no, low, high, zero, best, 5)
     for rule in _rules.RULES:
         peaks = peaks.without(rule(peaks, _settings.FocusSettings()))
-    depth[small] = depth[alone] = np.nan
+    for rejected in (small, alone, halo, unknown, off):
+        depth[rejected] = np.nan
     np.testing.assert_array_equal(peaks.depth, depth)
