@@ -459,6 +459,15 @@ def test_saturated_part_of_the_template_stays_visible_in_other_light():
     assert track.hidden.mean() < 0.1
 
 
+def test_strong_noise_in_changed_light_hides_nothing():
+    rng, box = default_rng(0), (70, 65, 50, 50)
+    first = 0.5 * scene(0) + 60
+    tracker = ESMTracker(camera_frame(first, rng, noise=12.0), box, "translation")
+    track = tracker.track(camera_frame(spoil(first, "ramp", box, rng), rng, noise=12.0))
+    assert not track.lost
+    assert track.hidden.mean() < 0.02
+
+
 def test_template_is_tracked_under_growing_saturation():
     """The noise is estimated where nothing is saturated; else it is zero, and nothing agrees."""
     image, box = 0.8 * scene(1) + 20, (70, 65, 50, 50)
