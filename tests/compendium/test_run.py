@@ -35,6 +35,7 @@ def write_notebook(root: Path, name: str, source: str, parameters: str = 'record
         new_code_cell("other = 1", id="other"),
         new_code_cell(parameters, metadata={"tags": ["parameters"]}, id="parameters"),
         new_code_cell(source, id="source"),
+        new_code_cell("", id="end"),
     ]
     spec = {"name": "python3", "display_name": "Python 3", "language": "python"}
     notebook = new_notebook(cells=cells, metadata={"kernelspec": spec})
@@ -143,7 +144,13 @@ def test_failed_notebook_is_listed_and_others_run(project, start, capsys):
     assert [*run.failures()] == ["08_first"]
     assert json.loads((project / "build" / "claims" / "08_first.json").read_text())
     page = nbformat.read(project / "build" / "notebooks" / "08_first.ipynb", as_version=4)
-    assert [c.id for c in page.cells] == ["other", "parameters", "injected-parameters", "source"]
+    assert [c.id for c in page.cells] == [
+        "other",
+        "parameters",
+        "injected-parameters",
+        "source",
+        "end",
+    ]
     assert start("--failures") == 1
     assert failure in capsys.readouterr().err
     assert not run.up_to_date("08_first", run.key_of("08_first"))

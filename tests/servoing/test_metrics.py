@@ -30,9 +30,10 @@ def test_second_order_response_overshoots_by_the_damping_formula():
     assert found.settling_time == pytest.approx(outside[-1], abs=2e-3)  # two samples
 
 
-def test_settling_time_begins_with_the_first_sample():
-    found = step_metrics([3.0, 4.0, 6.0, 7.5], [[0.0], [4.0], [9.9], [10.0]], [10.0])
-    assert [*vars(found).values()] == pytest.approx([3.0, 0.0, 0.1, 0.05])
+def test_settling_time_begins_with_the_first_sample_and_ends_at_the_band():
+    """An error of half a unit is the default band of a step of ten."""
+    found = step_metrics([3.0, 4.0, 6.0, 7.5], [[0.0], [4.0], [9.5], [10.0]], [10.0])
+    assert [*vars(found).values()] == pytest.approx([3.0, 0.0, 0.5, 0.25])
 
 
 def test_step_metrics_are_nan_where_the_response_does_not_settle():
