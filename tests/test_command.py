@@ -718,7 +718,10 @@ def test_headline_of_moduli_spans_both_rims_whichever_is_further(side, tmp_path,
         (f"{GRID} --division 10", "--division belongs to --marks micrometer"),
         (f"{GRID} --marks micrometer", "a micrometer needs --division, not --pitch"),
         (f"calibrate circles.png {LINES}", "image must show a scale of"),
-        (f"calibrate circles.png {INPUTS}/circles.png {LINES}", "names of photographs must differ"),
+        (
+            f"calibrate circles.png '{INPUTS}/circles.png' {LINES}",
+            "names of photographs must differ",
+        ),
         ("modulus outline.csv", "--thickness µm, --probe-half-width µm, --poisson-ratio ratio"),
         (f"{STACK} --spacing 5kg", "--spacing: invalid number in µm value: '5kg'"),
         (f"{STACK} --spacing 0", "--spacing must be between 0.02 and 10000 µm in any experiment"),
@@ -736,7 +739,7 @@ def test_headline_of_moduli_spans_both_rims_whichever_is_further(side, tmp_path,
         ("depth missing.tif --spacing 25 --pixel-size 1", "missing.tif"),
         ("depth circles.png --spacing 5 --pixel-size 1", "circles.png must hold three frames"),
         ("calibrate embryo.png --marks charuco --pitch 9", ": image must show the corners of a C"),
-        (f"calibrate embryo.png {INPUTS}/height_um.tif --pitch 280", "; so 2 photographs"),
+        (f"calibrate embryo.png '{INPUTS}/height_um.tif' --pitch 280", "; so 2 photographs"),
         (f"modulus missing.csv --force 10 {MODULUS}", "missing.csv: No such file"),
         (f"modulus frames_path.csv --force 10 {MODULUS}", "(a dimple, y up)"),
         # Outputs.
@@ -1089,7 +1092,7 @@ def test_progress_is_seen_on_a_terminal_that_states_no_width(tmp_path):
     """As that of `script`; a new pseudo-terminal has 0 columns."""
     pty = pytest.importorskip("pty")
     leader, follower = pty.openpty()
-    command = [sys.executable, "-m", "microlib", *f"track {INPUTS}/frames.tif {BOX}".split()]
+    command = [sys.executable, "-m", "microlib", "track", INPUTS / "frames.tif", *BOX.split()]
     subprocess.run([*command, "-o", tmp_path / "a.csv", "--no-look"], stderr=follower, check=True)
     os.set_blocking(leader, False)
     shown = os.read(leader, 4096).decode()
