@@ -30,13 +30,13 @@ def test_textures_have_the_given_contrast_and_scales():
 
 def test_surfaces_have_the_expected_curvature():
     height, width = 500.0, 40.0
-    parabola = synthetic.parabolic_cylinder((61, 61), height, width=width)
-    default = synthetic.parabolic_cylinder((61, 61), height)  # as wide as the map
-    np.testing.assert_allclose(default, synthetic.parabolic_cylinder((61, 61), height, width=60.0))
+    parabola = synthetic.parabolic_cylinder((61, 71), height, width=width)
+    default = synthetic.parabolic_cylinder((61, 71), height)  # as wide as the map
+    np.testing.assert_allclose(default, synthetic.parabolic_cylinder((61, 71), height, width=70.0))
     found = surface_curvature(parabola, pixel_size=10.0, size=3)
     # z'' = -8 h / w² at the crest, w in µm; a window of 3 px is exact on a parabola.
-    assert found.mean[30, 30] == pytest.approx(-4 * height / (10 * width) ** 2, rel=1e-9)
-    assert found.gaussian[30, 30] == pytest.approx(0, abs=1e-15)
+    assert found.mean[30, 35] == pytest.approx(-4 * height / (10 * width) ** 2, rel=1e-9)
+    assert found.gaussian[30, 35] == pytest.approx(0, abs=1e-15)
     ball = synthetic.sphere_on_plane((241, 241), radius=400.0, pixel_size=4.0)
     found = surface_curvature(ball, pixel_size=4.0)
     assert found.mean[120, 120] == pytest.approx(-1 / 400, rel=0.01)

@@ -24,7 +24,8 @@ def peer(position: np.ndarray, covariance: np.ndarray) -> cv2.KalmanFilter:
 
 def test_kalman_filter_agrees_with_opencv():
     rng = np.random.default_rng(3)
-    ours = KalmanFilter((3.0, -2.0), interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
+    first = np.array([3.0, -2.0])
+    ours = KalmanFilter(first, interval=INTERVAL, acceleration=ACCELERATION, noise=NOISE)
     theirs = peer(ours.position, ours.covariance)
     predicted, wanted = [], []
     for measured in rng.normal(0, 5, (30, 2)):
@@ -38,6 +39,7 @@ def test_kalman_filter_agrees_with_opencv():
         )
     # Two implementations in double precision: rounding only. What was predicted stays as it was.
     np.testing.assert_allclose(predicted, wanted, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(first, [3.0, -2.0])
 
 
 def test_lost_template_is_searched_where_the_filter_predicts_it():
