@@ -4,14 +4,11 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import settings
-
-from microlib.embryo import fit_gaussians
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -61,19 +58,6 @@ def _process_is_as_before(request: pytest.FixtureRequest) -> Iterator[None]:
     after = process_state()
     changed = [name for name, value in before.items() if value not in (None, after[name])]
     assert not changed, f"the test changed {changed}, from {before} to {after}"
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _each_outline_is_fitted_once() -> Iterator[None]:
-    """Keep each fit of eight Gaussians, which takes 0.3 s: most commands read the same outline.
-
-    What is public is not replaced, so its own tests fit each time.
-    """
-    kept = lru_cache(lambda x, y: fit_gaussians(np.frombuffer(x), np.frombuffer(y)))
-    with pytest.MonkeyPatch.context() as patch:
-        fitted = lambda x, y: kept(x.tobytes(), y.tobytes())  # noqa: E731
-        patch.setattr("microlib.embryo._outline.fit_gaussians", fitted)
-        yield
 
 
 @pytest.fixture(scope="session")
