@@ -226,8 +226,13 @@ NOTCH -= 12 * np.exp(-(((ACROSS - 96) / 28) ** 2))
     ],
 )  # fmt: skip
 def test_outline_without_dimple_is_rejected(x, y, message) -> None:
-    with pytest.raises(ValueError, match=message):
-        dimple_from_outline(x, y, pixel_size=3.9)
+    """In pixels, whatever their size."""
+    errors = []
+    for pixel_size in (1.0, 3.9):
+        with pytest.raises(ValueError, match=message) as error:
+            dimple_from_outline(x, y, pixel_size=pixel_size)
+        errors.append(str(error.value))
+    assert errors[0] == errors[1]
 
 
 TABLES = {
