@@ -97,7 +97,7 @@ def test_blur_radius_is_zero_in_focus_and_signed_by_side():
     assert abs(sharp) < 1e-9  # µm, rounding
     assert near > 1 > -1 > far
     with pytest.raises(ValueError, match="object_distance must exceed the focal length"):
-        optics.image_distance(LENS["focal_length"], LENS["focal_length"])
+        optics.image_distance([2.0, 1.0] * np.array(LENS["focal_length"]), LENS["focal_length"])
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.5])

@@ -12,8 +12,8 @@ class FocusSettings:
     Lengths along the axis are in averaged frames; lengths across it are in px of every second
     pixel. A sigma is the standard deviation of a Gaussian. Where nothing else is said, the reason
     is the table "twice and half of a setting" of benchmarks/focus.py: some row gets worse by more
-    than 5 %. `mtf_correction` and `sure_detail` change less there, but relief of focus_depth.py,
-    and narrow bars.
+    than 5 %. `mtf_correction`, `sure_detail` and `end_share` change less there, but relief of
+    focus_depth.py, narrow bars, and surfaces outside of the stack.
     """
 
     #: Equivalent width of a peak, in averaged frames, to which frames are averaged: the error is
