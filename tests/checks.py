@@ -55,10 +55,11 @@ class Wrong(NamedTuple):
 def not_real(valid: ArrayLike) -> list[Any]:
     """Return what is refused in place of an array of any shape, in which NaN may be."""
     array = np.asarray(valid)
+    rows = np.atleast_1d(array)[:9]
     return [
         *(None, "text", array.astype(str), array.astype(complex), object(), RAGGED),
         np.ma.array(array, mask=np.arange(array.size).reshape(array.shape) % 2 == 0),
-        [np.ma.array(row, mask=True) for row in np.atleast_1d(array)[:9]],
+        [np.ma.array(row, mask=True) if k == 0 else row for k, row in enumerate(rows)],
         Wrong(array[:0]),
     ]
 

@@ -35,7 +35,8 @@ CALLS = {
     },
 }  # fmt: skip
 each_call = pytest.mark.parametrize("function", CALLS, ids=lambda f: f.__name__)
-THRESHOLD = [None, "text", 1j, {}, [], -1]  # NaN leaves a pixel without a label
+#: NaN leaves a pixel without a label.
+THRESHOLD = [None, "text", 1j, {}, [], 1 - 2 * np.eye(*BENT.mean.shape)]
 #: What is refused in place of each argument.
 REFUSED = {
     curvature.clean_labels: {

@@ -236,7 +236,10 @@ def test_depth_is_right_beyond_256_frames():
         ({"frames": [np.ones((9, 9)), np.ones((9, 8))] * 2}, r"frames\[1\] must be float64"),
         ({"measure": "sharpness"}, f"measure must be one of {', '.join(NAMES)}, got 'sharpness'"),
         ({"measure": lambda frame: frame[1:]}, r"measure\(frame\) must have shape"),
-        ({"measure": lambda frame: frame - 1.0}, r"measure\(frame\) must be zero or positive"),
+        (
+            {"measure": lambda frame: 0.5 - np.eye(*frame.shape)},
+            r"measure\(frame\) must be zero or positive",
+        ),
         ({"measure": lambda frame: frame * np.nan}, r"measure\(frame\) must be finite"),
         ({"window": 5}, "window must not be given with measure 'multiscale', got 5"),
         ({"measure": np.abs, "window": 5}, "window must not be given with measure a function"),

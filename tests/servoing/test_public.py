@@ -182,7 +182,7 @@ REFUSED = {
         "controller": OTHER, "stage": OTHER, "camera": OTHER,
     },
     servoing.step_metrics: {
-        "time": lambda valid: [*no_array(valid), np.zeros(25), valid[:-1]],
+        "time": lambda valid: [*no_array(valid), np.maximum(valid, valid[1]), valid[:-1]],
         "target": lambda valid: [*no_array(valid), PLACE], "band": [*NOT_POSITIVE, 1.0],
     },
 }  # fmt: skip

@@ -16,6 +16,8 @@ def test_gripper_moves_by_the_shift(pixel_size):
     assert noise.std() == pytest.approx(np.sqrt(2 * (2.0**2 + 1 / 12)), rel=0.02)
     rng = np.random.default_rng(0)
     shift = np.array([7.3, -4.6])
+    with pytest.raises(ValueError, match="shift must lie within"):
+        scene.frame((0, 1000), rng)
     # The ground rests, so compare the gripper alone.
     scene.ground[:] = 0.0
     first, second = (scene.frame(s, rng, noise=0.0).astype(float) for s in ((0, 0), shift))
