@@ -39,6 +39,7 @@ def test_table_shows_printed_and_found_numbers(name, monkeypatch):
     html = as_printed(name).data
     table = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr><th .*?</tr>", html)]
     assert [len(row) for row in table] == [columns] * rows
+    assert {one.sign for one in entries} <= set(html.partition("<tr")[0])  # the caption's
     texts = [[unescape(re.sub("<.*?>", " ", cell)) for cell in row] for row in table]
     assert re.split("[✓✗?≈•]", texts[at][across])[0].split() == printed.split()
     # Columns differ by the same part of an id in each row, and say the units that rows do not.
