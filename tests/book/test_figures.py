@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from book_benchmarks import rows_of
+from book_benchmarks import draw, rows_of
 from book_surfaces import surface_script
 from matplotlib import colormaps
 from PIL import Image
@@ -197,3 +197,6 @@ def test_cases_of_a_benchmark_chart_keep_the_order_of_its_table(
     shown = rows_of("trials", options | {"columns": "b = B | a"})
     assert [*shown.index] == ["3 px", "20 px", "7 px"]
     np.testing.assert_array_equal(shown, [[0.9, 1.0], [0.7, 0.8], [np.nan, 0.6]])
+    axes = draw(shown, "share", log=False).axes[0]
+    ticks = {text.get_text(): text.get_position()[1] for text in axes.get_yticklabels()}
+    assert [ticks[name] for name in shown.index] == [*axes.lines[0].get_ydata()]

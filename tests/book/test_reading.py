@@ -38,6 +38,7 @@ def test_verdicts_and_counts_on_pages_equal_the_ledger(html: Path) -> None:
     for verdict in ledger.Verdict:
         number = sum(claim.verdict is verdict for claim in CLAIMS)
         assert number_of(verdict.word) == number, verdict
+    assert number_of("chosen") == sum(getattr(claim, "chosen", "") != "" for claim in CLAIMS)
 
 
 def test_no_sentence_is_repeated_on_another_page(html: Path) -> None:
@@ -53,6 +54,13 @@ def test_no_sentence_is_repeated_on_another_page(html: Path) -> None:
                     pages[sentence].add(path.stem)
     assert len(pages) > 1000
     assert {sentence: names for sentence, names in pages.items() if len(names) > 1} == {}
+
+
+def test_tables_of_four_columns_take_the_room_of_the_margin(html: Path) -> None:
+    for name in ("symbols", "benchmarks_tracking"):
+        for table in BeautifulSoup(article(html / f"{name}.html"), "html.parser").select("table"):
+            columns = len(table.select_one("tr").find_all(["th", "td"]))
+            assert ("full-width" in table["class"]) == (columns >= 4), name
 
 
 def test_number_links_to_cell_that_recorded_it(page: Page, html: Path) -> None:
