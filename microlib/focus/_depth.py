@@ -136,7 +136,7 @@ def depth_from_focus(
       happened at less than 5 % of the pixels. On narrower bars the share is larger.
     - Surfaces whose focus lies outside the stack. They get a depth near the first or the last
       frame, and almost all of their pixels a large uncertainty and the flag `at_end`. In a test
-      with five textures, 2 to 12 frames outside, 0.7 % of the pixels had neither.
+      with six photographs as texture, 3 to 11 frames outside, 1.4 % of the pixels had neither.
 
     A pixel is flagged in `at_end` if its sharpest frame is the first or the last frame. With
     "multiscale" it is also flagged if its depth is within half a frame spacing of that frame, or
