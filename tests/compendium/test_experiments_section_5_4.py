@@ -87,8 +87,8 @@ def test_readings_that_change_a_verdict_are_named_beside_it():
     made = {"reading": readings, "claim": [*"abc"] * 3, "used": [False, False, True] * 3}
     made = pd.DataFrame(made).assign(inside=np.array([1, 0, 1, 0, 0, 0, 0, 1, 1], bool))
     found = section_5_4.decided(made).to_dict("index")
-    told = {"a": (True, "one; other"), "b": (False, "other")}
-    assert {claim: (*row.values(),) for claim, row in found.items()} == told
+    expected = {"a": (True, "one; other"), "b": (False, "other")}
+    assert {claim: (*row.values(),) for claim, row in found.items()} == expected
 
 
 def test_known_disturbance_is_identified(station, monkeypatch):

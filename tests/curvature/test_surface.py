@@ -97,7 +97,8 @@ def test_uncertainties_match_first_order_propagation():
     where the second order is 1e-6 of the first, and of H on a plane, where an error of the slope
     has no part."""
     bowls = (X**2 + Y**2) / 40, (X**2 - Y**2) / 40, X * Y / 20, X**2 / 20 + X * Y / 30
-    for field, surface in (*(("gaussian", bowl) for bowl in bowls), ("mean", 0.8 * X + 0.5 * Y)):
+    cases = [("gaussian", bowl, 2e-3) for bowl in bowls] + [("mean", 0.8 * X + 0.5 * Y, 1e-4)]
+    for field, surface, rel in cases:
         height = surface[HALF - 6 : HALF + 7, HALF - 6 : HALF + 7]  # within reach of the center
         found, push, squares = surface_curvature(height, SIDES, noise=1e-5), 1e-7, 0.0
         for at in np.ndindex(13, 13):
@@ -106,7 +107,7 @@ def test_uncertainties_match_first_order_propagation():
             answer = getattr(surface_curvature(pushed, SIDES), field)
             squares += ((answer - getattr(found, field))[6, 6] / push) ** 2
         stated = getattr(found, f"{field}_uncertainty")[6, 6]
-        assert stated == pytest.approx(1e-5 * squares**0.5, rel=2e-3)
+        assert stated == pytest.approx(1e-5 * squares**0.5, rel=rel)
 
 
 def test_regions_are_connected_along_rows_and_columns():

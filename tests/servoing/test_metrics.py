@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lti, step
 
-from microlib.servoing import step_metrics
+from microlib.servoing import path_metrics, step_metrics
 
 
 def test_first_order_response_settles_at_the_time_of_its_exponential():
@@ -40,3 +40,13 @@ def test_step_metrics_are_nan_where_the_response_does_not_settle():
     found = step_metrics([0, 1, 2], [[0.0], [2.0], [0.0]], [1.0])
     assert np.isnan([found.settling_time, found.accuracy, found.precision]).all()
     assert found.overshoot == 1.0
+
+
+def test_path_metrics_are_mean_std_and_maximum_of_the_distances():
+    rng = np.random.default_rng(1)
+    error = rng.normal(0, 2.0, (4000, 2))
+    found = path_metrics(error + 5.0, np.full((4000, 2), 5.0))
+    # Rayleigh: mean σ√(π/2), standard deviation σ√(2 − π/2); 4000 samples give them to 1 %.
+    assert found.accuracy == pytest.approx(2 * np.sqrt(np.pi / 2), rel=0.03)
+    assert found.precision == pytest.approx(2 * np.sqrt(2 - np.pi / 2), rel=0.05)
+    assert found.largest == pytest.approx(np.hypot(*error.T).max(), rel=1e-12)
